@@ -2,6 +2,11 @@
 //!
 //! The key types: [`Scalar`], the number a model is generic over.
 
+// The derived code names this crate by its full path, also inside it.
+extern crate self as parallax_model;
+
 pub mod scalar;
+pub mod tree;
 
 pub use scalar::Scalar;
+pub use tree::Tree;
