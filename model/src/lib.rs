@@ -5,8 +5,10 @@
 // The derived code names this crate by its full path, also inside it.
 extern crate self as parallax_model;
 
+pub mod dual;
 pub mod scalar;
 pub mod tree;
 
+pub use dual::Dual;
 pub use scalar::Scalar;
 pub use tree::Tree;

@@ -32,6 +32,9 @@ pub trait Scalar:
         + BitOr<Output = Self::Mask>
         + Not<Output = Self::Mask>;
 
+    /// Whether structured control ([`crate::control`]) is written down instead of run: true for the traced scalar only.
+    const STRUCTURED: bool = false;
+
     /// A number that depends on nothing.
     fn constant(value: f64) -> Self;
 
@@ -97,7 +100,81 @@ pub trait Scalar:
     fn clamp(self, low: Self, high: Self) -> Self {
         self.max(low).min(high)
     }
+
+    /// A loop over flat lists of numbers; [`crate::control::scan`] is the form for structs.
+    ///
+    /// Runs `body(carry, x, y)` `length` times: it updates `carry`, reads the next `xs.len() / length` numbers and
+    /// fills the next `ys.len() / length`.
+    ///
+    /// # Panics
+    ///
+    /// When `xs` or `ys` cannot be divided evenly among the steps.
+    fn scan_values(
+        length: usize,
+        carry: &mut [Self],
+        xs: &[Self],
+        ys: &mut [Self],
+        mut body: impl FnMut(&mut [Self], &[Self], &mut [Self]),
+    ) {
+        let (nx, ny) = (share(xs.len(), length), share(ys.len(), length));
+        for step in 0..length {
+            body(carry, &xs[step * nx..(step + 1) * nx], &mut ys[step * ny..(step + 1) * ny]);
+        }
+    }
+
+    /// The same computation on each of `length` elements; [`crate::control::map`] is the form for structs.
+    ///
+    /// Runs `body(x, y)` for every element: it reads `xs.len() / length` numbers and fills `ys.len() / length`.
+    ///
+    /// # Panics
+    ///
+    /// When `xs` or `ys` cannot be divided evenly among the elements.
+    fn map_values(length: usize, xs: &[Self], ys: &mut [Self], mut body: impl FnMut(&[Self], &mut [Self])) {
+        let (nx, ny) = (share(xs.len(), length), share(ys.len(), length));
+        for step in 0..length {
+            body(&xs[step * nx..(step + 1) * nx], &mut ys[step * ny..(step + 1) * ny]);
+        }
+    }
+
+    /// A named function, written once however often it is called; [`crate::control::call`] is the form for structs.
+    fn call_values(name: &str, xs: &[Self], ys: &mut [Self], body: impl FnOnce(&[Self], &mut [Self])) {
+        let _ = name;
+        body(xs, ys);
+    }
 }
+
+/// How many of `count` numbers belong to each of `length` steps.
+///
+/// # Panics
+///
+/// When they cannot be divided evenly.
+pub(crate) fn share(count: usize, length: usize) -> usize {
+    if length == 0 {
+        assert_eq!(count, 0, "a loop of no steps has no numbers to divide");
+        return 0;
+    }
+    assert_eq!(count % length, 0, "{count} numbers cannot be divided evenly among {length} steps");
+    count / length
+}
+
+/// The assigning operators (`+=` ...), from the plain ones.
+macro_rules! assign_operators {
+    ([$($generics:tt)*] $scalar:ty) => {
+        $crate::scalar::assign_operators!(@one [$($generics)*] $scalar, AddAssign, add_assign, +);
+        $crate::scalar::assign_operators!(@one [$($generics)*] $scalar, SubAssign, sub_assign, -);
+        $crate::scalar::assign_operators!(@one [$($generics)*] $scalar, MulAssign, mul_assign, *);
+        $crate::scalar::assign_operators!(@one [$($generics)*] $scalar, DivAssign, div_assign, /);
+    };
+    (@one [$($generics:tt)*] $scalar:ty, $operator:ident, $method:ident, $sign:tt) => {
+        impl<$($generics)*> std::ops::$operator for $scalar {
+            #[inline(always)]
+            fn $method(&mut self, other: Self) {
+                *self = *self $sign other;
+            }
+        }
+    };
+}
+pub(crate) use assign_operators;
 
 impl Scalar for f64 {
     type Mask = bool;
