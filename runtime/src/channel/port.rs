@@ -1,0 +1,298 @@
+//! Publishers, subscribers and wake-ups: the thin layer over iceoryx2.
+
+use std::fmt::Debug;
+use std::time::Duration;
+
+use iceoryx2::port::update_connections::UpdateConnections;
+use iceoryx2::prelude::*;
+use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
+use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
+use iceoryx2::service::port_factory::PortFactory as _;
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+
+use super::{BORROWED, ChannelError, LOANED, Space, Topic};
+
+type Ipc = ipc::Service;
+
+/// Attribute of a service under which the layout's hash stands.
+const LAYOUT: &str = "parallax.layout";
+
+/// One process's, or one thread's, access to a run's channels.
+#[derive(Debug)]
+pub struct Endpoint {
+    node: iceoryx2::node::Node<Ipc>,
+}
+
+/// A channel that exists: opened or created.
+#[derive(Debug)]
+pub struct Service {
+    factory: PortFactory<Ipc, [u64], ()>,
+    topic: Topic,
+}
+
+/// The sending end of a channel.
+#[derive(Debug)]
+pub struct Publisher {
+    port: iceoryx2::port::publisher::Publisher<Ipc, [u64], ()>,
+    factory: PortFactory<Ipc, [u64], ()>,
+    topic: Topic,
+}
+
+/// The receiving end of a channel.
+#[derive(Debug)]
+pub struct Subscriber {
+    port: iceoryx2::port::subscriber::Subscriber<Ipc, [u64], ()>,
+    topic: Topic,
+}
+
+/// Wakes the listener of the same name.
+#[derive(Debug)]
+pub struct Waker {
+    port: iceoryx2::port::notifier::Notifier<Ipc>,
+    name: String,
+}
+
+/// Waits until a [`Waker`] of the same name calls.
+#[derive(Debug)]
+pub struct Listener {
+    port: iceoryx2::port::listener::Listener<Ipc>,
+    name: String,
+}
+
+/// A transport error with the channel's name and what was tried.
+fn failed(topic: &str, what: &'static str) -> impl Fn(&dyn Debug) -> ChannelError {
+    move |detail| ChannelError::Transport { topic: topic.into(), what, detail: format!("{detail:?}") }
+}
+
+fn service_name(topic: &str) -> Result<ServiceName, ChannelError> {
+    ServiceName::new(topic).map_err(|e| failed(topic, "use the name")(&e))
+}
+
+impl Endpoint {
+    /// Opens this process's access to a space.
+    ///
+    /// # Errors
+    ///
+    /// [`ChannelError::Transport`] when iceoryx2 cannot work in the space.
+    pub fn new(space: &Space) -> Result<Self, ChannelError> {
+        // Every failure comes back as an error value and is reported once, by whoever handles it.
+        set_log_level(LogLevel::Fatal);
+        let config = space.config()?;
+        let node = NodeBuilder::new()
+            .config(&config)
+            // The launcher decides what a signal means, not the transport.
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .create::<Ipc>()
+            .map_err(|e| failed("(all)", "open shared memory")(&e))?;
+        Ok(Self { node })
+    }
+
+    /// Creates a channel. It exists while somebody holds the service or a port of it.
+    ///
+    /// # Errors
+    ///
+    /// [`ChannelError::Transport`] when it exists already, or cannot be made.
+    pub fn create(&self, topic: &Topic) -> Result<Service, ChannelError> {
+        let fail = failed(&topic.name, "create the channel");
+        let (key, value) = attribute(topic)?;
+        let attributes = AttributeSpecifier::new().define(&key, &value).map_err(|e| fail(&e))?;
+        let factory = self
+            .node
+            .service_builder(&service_name(&topic.name)?)
+            .publish_subscribe::<[u64]>()
+            .max_publishers(1)
+            .max_subscribers(topic.subscribers.max(1))
+            .max_nodes(topic.subscribers + 2)
+            .subscriber_max_buffer_size(topic.buffer.max(1))
+            .subscriber_max_borrowed_samples(BORROWED)
+            .history_size(0)
+            // The newest message is worth more than the oldest: a receiver that falls behind loses the oldest,
+            // and counts the gap in the sequence numbers.
+            .enable_safe_overflow(true)
+            .create_with_attributes(&attributes)
+            .map_err(|e| fail(&e))?;
+        Ok(Service { factory, topic: topic.clone() })
+    }
+
+    /// Opens a channel that another endpoint created.
+    ///
+    /// # Errors
+    ///
+    /// [`ChannelError::Layout`] when it was created with another layout, else [`ChannelError::Transport`].
+    pub fn open(&self, topic: &Topic) -> Result<Service, ChannelError> {
+        let fail = failed(&topic.name, "open the channel");
+        let (key, value) = attribute(topic)?;
+        let attributes = AttributeVerifier::new().require(&key, &value).map_err(|e| fail(&e))?;
+        let opened = self
+            .node
+            .service_builder(&service_name(&topic.name)?)
+            .publish_subscribe::<[u64]>()
+            .enable_safe_overflow(true)
+            .subscriber_max_buffer_size(topic.buffer.max(1))
+            .open_with_attributes(&attributes);
+        match opened {
+            Ok(factory) => Ok(Service { factory, topic: topic.clone() }),
+            Err(PublishSubscribeOpenError::IncompatibleAttributes) => {
+                Err(ChannelError::Layout { topic: topic.name.clone(), expected: topic.layout })
+            }
+            Err(e) => Err(fail(&e)),
+        }
+    }
+
+    /// The listener `name`, which waits for `wakers` wakers.
+    ///
+    /// # Errors
+    ///
+    /// [`ChannelError::Transport`].
+    pub fn listener(&self, name: &str, wakers: usize) -> Result<Listener, ChannelError> {
+        let fail = failed(name, "listen");
+        let service = self
+            .node
+            .service_builder(&service_name(name)?)
+            .event()
+            .max_listeners(1)
+            .max_notifiers(wakers.max(1))
+            .max_nodes(wakers + 2)
+            .open_or_create()
+            .map_err(|e| fail(&e))?;
+        let port = service.listener_builder().create().map_err(|e| fail(&e))?;
+        Ok(Listener { port, name: name.into() })
+    }
+
+    /// A waker of the listener `name`, which must exist.
+    ///
+    /// # Errors
+    ///
+    /// [`ChannelError::Transport`].
+    pub fn waker(&self, name: &str) -> Result<Waker, ChannelError> {
+        let fail = failed(name, "reach the listener");
+        let service = self.node.service_builder(&service_name(name)?).event().open().map_err(|e| fail(&e))?;
+        let port = service.notifier_builder().create().map_err(|e| fail(&e))?;
+        Ok(Waker { port, name: name.into() })
+    }
+}
+
+fn attribute(topic: &Topic) -> Result<(AttributeKey, AttributeValue), ChannelError> {
+    let fail = failed(&topic.name, "describe the layout");
+    Ok((
+        AttributeKey::new(LAYOUT.as_bytes()).map_err(|e| fail(&e))?,
+        AttributeValue::new(format!("{:016x}/{}", topic.layout, topic.words).as_bytes())
+            .map_err(|e| fail(&e))?,
+    ))
+}
+
+impl Service {
+    /// The sending end; a channel has one.
+    ///
+    /// # Errors
+    ///
+    /// [`ChannelError::Transport`].
+    pub fn publisher(self) -> Result<Publisher, ChannelError> {
+        let port = self
+            .factory
+            .publisher_builder()
+            .initial_max_slice_len(self.topic.words)
+            .max_loaned_samples(LOANED)
+            // "Retry" would poll with sleeps of up to 10 ms inside a step.
+            .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .create()
+            .map_err(|e| failed(&self.topic.name, "publish")(&e))?;
+        Ok(Publisher { port, factory: self.factory, topic: self.topic })
+    }
+
+    /// A receiving end.
+    ///
+    /// # Errors
+    ///
+    /// [`ChannelError::Transport`].
+    pub fn subscriber(&self) -> Result<Subscriber, ChannelError> {
+        let port = self
+            .factory
+            .subscriber_builder()
+            .buffer_size(self.topic.buffer.max(1))
+            .create()
+            .map_err(|e| failed(&self.topic.name, "subscribe")(&e))?;
+        Ok(Subscriber { port, topic: self.topic.clone() })
+    }
+}
+
+impl Publisher {
+    /// Sends a message of `words` words, the i-th of which is `word(i)`; gives the number of subscribers
+    /// that it was put before.
+    ///
+    /// # Errors
+    ///
+    /// [`ChannelError::TooLong`], or [`ChannelError::Transport`].
+    pub fn send(&self, words: usize, word: impl FnMut(usize) -> u64) -> Result<usize, ChannelError> {
+        if words > self.topic.words {
+            return Err(ChannelError::TooLong {
+                topic: self.topic.name.clone(),
+                words,
+                limit: self.topic.words,
+            });
+        }
+        let sample = self.port.loan_slice_uninit(words).map_err(|e| failed(&self.topic.name, "send")(&e))?;
+        sample.write_from_fn(word).send().map_err(|e| failed(&self.topic.name, "send")(&e))
+    }
+
+    /// Connects to the subscribers that exist by now, and gives their number. Until this is done, or a
+    /// message is sent, a new subscriber gets nothing, and nobody is told.
+    ///
+    /// # Errors
+    ///
+    /// [`ChannelError::Transport`].
+    pub fn connect(&self) -> Result<usize, ChannelError> {
+        self.port.update_connections().map_err(|e| failed(&self.topic.name, "connect to subscribers")(&e))?;
+        Ok(self.factory.dynamic_config().number_of_subscribers())
+    }
+
+    /// What was agreed for this channel.
+    pub fn topic(&self) -> &Topic {
+        &self.topic
+    }
+}
+
+impl Subscriber {
+    /// Hands the next waiting message to `take`, if there is one; says whether there was.
+    ///
+    /// # Errors
+    ///
+    /// [`ChannelError::Transport`].
+    pub fn receive(&self, take: impl FnOnce(&[u64])) -> Result<bool, ChannelError> {
+        match self.port.receive() {
+            Ok(Some(sample)) => {
+                take(sample.payload());
+                Ok(true)
+            }
+            Ok(None) => Ok(false),
+            Err(e) => Err(failed(&self.topic.name, "receive")(&e)),
+        }
+    }
+
+    /// What was agreed for this channel.
+    pub fn topic(&self) -> &Topic {
+        &self.topic
+    }
+}
+
+impl Waker {
+    /// Wakes the listener; gives the number of listeners that were reached, 0 or 1.
+    ///
+    /// # Errors
+    ///
+    /// [`ChannelError::Transport`].
+    pub fn wake(&self) -> Result<usize, ChannelError> {
+        self.port.notify().map_err(|e| failed(&self.name, "wake the listener")(&e))
+    }
+}
+
+impl Listener {
+    /// Waits until somebody wakes it, or the time is over.
+    ///
+    /// # Errors
+    ///
+    /// [`ChannelError::Transport`].
+    pub fn wait(&self, time: Duration) -> Result<(), ChannelError> {
+        self.port.timed_wait(|_| {}, time).map_err(|e| failed(&self.name, "wait")(&e)).map(|_| ())
+    }
+}

@@ -1,0 +1,341 @@
+//! The place of one run in shared memory, and the removal of what dead runs left there.
+
+use std::fs::{self, DirBuilder, File, OpenOptions, TryLockError};
+use std::io::{self, Read, Write};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use iceoryx2::config::Config;
+use iceoryx2::prelude::SemanticString;
+
+use super::ChannelError;
+
+/// Where Linux keeps POSIX shared memory.
+const SHARED_MEMORY: &str = "/dev/shm";
+
+/// One run's own corner of shared memory.
+///
+/// The process that creates a space owns it: it holds a lock for as long as it lives, and dropping the space
+/// removes everything in it. Node processes [`attach`](Space::attach) to it and remove nothing.
+#[derive(Debug)]
+pub struct Space {
+    path: PathBuf,
+    prefix: String,
+    /// Held while the owner lives: whoever gets this lock knows that the owner is dead.
+    lock: Option<File>,
+}
+
+impl Space {
+    /// Makes a space for this run, after removing what dead runs of this user left.
+    ///
+    /// # Errors
+    ///
+    /// [`ChannelError::NoSharedMemory`] and its like, when there is no usable shared memory.
+    pub fn create() -> Result<Self, ChannelError> {
+        Self::create_in(Path::new(SHARED_MEMORY))
+    }
+
+    /// As [`create`](Space::create), with another place to keep the run's directory.
+    fn create_in(shared_memory: &Path) -> Result<Self, ChannelError> {
+        let base = base(shared_memory)?;
+        let guard = Guard::take(&base)?;
+        guard.clean(&base, shared_memory);
+        static NEXT: AtomicU32 = AtomicU32::new(0);
+        // Another process of the same number may live in another container that shares this memory, so the
+        // name that is free decides, not the process id alone.
+        loop {
+            let name = format!("{}-{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
+            let lock_path = base.join(format!("{name}.lock"));
+            let lock = match OpenOptions::new().write(true).create_new(true).mode(0o600).open(&lock_path) {
+                Ok(lock) => lock,
+                Err(e) if e.kind() == io::ErrorKind::AlreadyExists => continue,
+                Err(source) => {
+                    return Err(ChannelError::Io { what: "cannot create", path: lock_path, source });
+                }
+            };
+            lock.try_lock().map_err(|e| ChannelError::Io {
+                what: "cannot lock",
+                path: lock_path.clone(),
+                source: match e {
+                    TryLockError::Error(source) => source,
+                    TryLockError::WouldBlock => io::ErrorKind::WouldBlock.into(),
+                },
+            })?;
+            let path = base.join(&name);
+            make_directory(&path)?;
+            let prefix = prefix(&name);
+            return Ok(Self { path, prefix, lock: Some(lock) });
+        }
+    }
+
+    /// The space of a run that another process owns, at the path that the owner told.
+    ///
+    /// # Errors
+    ///
+    /// [`ChannelError::Io`] when there is no such directory.
+    pub fn attach(path: &Path) -> Result<Self, ChannelError> {
+        let missing =
+            |source| ChannelError::Io { what: "cannot open the run directory", path: path.into(), source };
+        fs::metadata(path).map_err(missing)?;
+        let name = path
+            .file_name()
+            .and_then(|n| n.to_str())
+            .ok_or_else(|| missing(io::ErrorKind::InvalidInput.into()))?;
+        Ok(Self { path: path.into(), prefix: prefix(name), lock: None })
+    }
+
+    /// The run's directory.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// How the names of this run's shared-memory files begin.
+    pub fn prefix(&self) -> &str {
+        &self.prefix
+    }
+
+    /// Writes a file into the run's directory, readable by this user alone.
+    ///
+    /// # Errors
+    ///
+    /// [`ChannelError::Io`].
+    pub fn write(&self, name: &str, contents: &[u8]) -> Result<(), ChannelError> {
+        let path = self.path.join(name);
+        OpenOptions::new()
+            .write(true)
+            .create(true)
+            .truncate(true)
+            .mode(0o600)
+            .open(&path)
+            .and_then(|mut file| file.write_all(contents))
+            .map_err(|source| ChannelError::Io { what: "cannot write", path, source })
+    }
+
+    /// Reads a file from the run's directory.
+    ///
+    /// # Errors
+    ///
+    /// [`ChannelError::Io`].
+    pub fn read(&self, name: &str) -> Result<Vec<u8>, ChannelError> {
+        let path = self.path.join(name);
+        let mut contents = Vec::new();
+        File::open(&path)
+            .and_then(|mut file| file.read_to_end(&mut contents))
+            .map_err(|source| ChannelError::Io { what: "cannot read", path, source })?;
+        Ok(contents)
+    }
+
+    /// Says whether shared memory has room for `needed` bytes more.
+    ///
+    /// The file system would otherwise answer a full memory with a bus error in the middle of a step.
+    ///
+    /// # Errors
+    ///
+    /// [`ChannelError::Full`].
+    pub fn reserve(&self, needed: u64) -> Result<(), ChannelError> {
+        let free = free_bytes(&self.path)?;
+        if free < needed {
+            return Err(ChannelError::Full { path: SHARED_MEMORY.into(), needed, free });
+        }
+        Ok(())
+    }
+
+    /// The configuration of iceoryx2 for this space.
+    pub(super) fn config(&self) -> Result<Config, ChannelError> {
+        let bad = |detail: String| ChannelError::Transport {
+            topic: self.path.display().to_string(),
+            what: "name the run's directory",
+            detail,
+        };
+        let mut config = Config::default();
+        let root = iceoryx2::prelude::Path::new(self.path.join("i").as_os_str().as_encoded_bytes());
+        config.global.set_root_path(&root.map_err(|e| bad(format!("{e:?}")))?);
+        config.global.prefix =
+            iceoryx2::prelude::FileName::new(self.prefix.as_bytes()).map_err(|e| bad(format!("{e:?}")))?;
+        // The owner removes the whole directory at the end. Scanning for dead nodes at every opening would
+        // only slow the start down, and could remove what a stopped node's neighbours still read.
+        config.global.service.cleanup_dead_nodes_on_open = false;
+        config.global.node.cleanup_dead_nodes_on_creation = false;
+        config.global.node.cleanup_dead_nodes_on_destruction = false;
+        Ok(config)
+    }
+}
+
+impl Drop for Space {
+    fn drop(&mut self) {
+        if self.lock.is_some() {
+            remove_run(&self.path, Path::new(SHARED_MEMORY));
+        }
+    }
+}
+
+/// Removes what runs of this user left behind whose owner is dead; gives the number of such runs.
+///
+/// # Errors
+///
+/// As [`Space::create`].
+pub fn clean_stale() -> Result<usize, ChannelError> {
+    let shared_memory = Path::new(SHARED_MEMORY);
+    let base = base(shared_memory)?;
+    let guard = Guard::take(&base)?;
+    Ok(guard.clean(&base, shared_memory))
+}
+
+/// The lock under which runs are created and stale ones removed, so that the two never overlap.
+struct Guard(#[expect(dead_code, reason = "held for its lock")] File);
+
+impl Guard {
+    fn take(base: &Path) -> Result<Self, ChannelError> {
+        let path = base.join("guard");
+        let io = |source| ChannelError::Io { what: "cannot lock", path: path.clone(), source };
+        let file = OpenOptions::new()
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .mode(0o600)
+            .open(&path)
+            .map_err(io)?;
+        file.lock().map_err(io)?;
+        Ok(Self(file))
+    }
+
+    /// Removes dead runs. What cannot be removed is left for the next time: it does not hinder this run.
+    fn clean(&self, base: &Path, shared_memory: &Path) -> usize {
+        let mut removed = 0;
+        let Ok(entries) = fs::read_dir(base) else { return 0 };
+        let mut locks: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
+        locks.sort();
+        for lock in locks.iter().filter(|path| path.extension().is_some_and(|e| e == "lock")) {
+            let Ok(file) = File::open(lock) else { continue };
+            if file.try_lock().is_ok() {
+                remove_run(&lock.with_extension(""), shared_memory);
+                removed += 1;
+            }
+        }
+        removed
+    }
+}
+
+/// The directory of this user's runs; it is made when it does not exist.
+fn base(shared_memory: &Path) -> Result<PathBuf, ChannelError> {
+    let none = |reason: String| ChannelError::NoSharedMemory { path: shared_memory.into(), reason };
+    let metadata = fs::metadata(shared_memory).map_err(|e| none(e.to_string()))?;
+    if !metadata.is_dir() {
+        return Err(none("it is not a directory".into()));
+    }
+    // SAFETY: geteuid takes no arguments, cannot fail and touches no memory of ours.
+    let user = unsafe { libc::geteuid() };
+    let base = shared_memory.join(format!("parallax-{user}"));
+    match DirBuilder::new().mode(0o700).create(&base) {
+        Ok(()) => {}
+        Err(e) if e.kind() == io::ErrorKind::AlreadyExists => {
+            // Shared memory is open to everybody: a directory that another user put here could be watched.
+            let ours = fs::symlink_metadata(&base)
+                .is_ok_and(|m| m.is_dir() && m.uid() == user && m.mode() & 0o077 == 0);
+            if !ours {
+                return Err(ChannelError::ForeignDirectory { path: base });
+            }
+        }
+        Err(e) => return Err(none(format!("cannot write there: {e}"))),
+    }
+    Ok(base)
+}
+
+fn make_directory(path: &Path) -> Result<(), ChannelError> {
+    DirBuilder::new().mode(0o700).create(path).map_err(|source| ChannelError::Io {
+        what: "cannot create",
+        path: path.into(),
+        source,
+    })
+}
+
+/// How a run's shared-memory files begin: they lie side by side in one flat directory.
+fn prefix(name: &str) -> String {
+    // SAFETY: geteuid takes no arguments, cannot fail and touches no memory of ours.
+    format!("plx{}_{name}_", unsafe { libc::geteuid() })
+}
+
+/// Removes a run's directory, its shared-memory files and its lock, in this order: the lock goes last, so
+/// that an interrupted removal is found and finished by the next run.
+fn remove_run(path: &Path, shared_memory: &Path) {
+    let _ = fs::remove_dir_all(path);
+    if let (Some(name), Ok(entries)) =
+        (path.file_name().and_then(|n| n.to_str()), fs::read_dir(shared_memory))
+    {
+        let prefix = prefix(name);
+        for entry in entries.flatten() {
+            if entry.file_name().to_str().is_some_and(|n| n.starts_with(&prefix)) {
+                let _ = fs::remove_file(entry.path());
+            }
+        }
+    }
+    let mut lock = path.as_os_str().to_owned();
+    lock.push(".lock");
+    let _ = fs::remove_file(lock);
+}
+
+fn free_bytes(path: &Path) -> Result<u64, ChannelError> {
+    use std::os::unix::ffi::OsStrExt;
+    let io =
+        |source| ChannelError::Io { what: "cannot ask for the free space of", path: path.into(), source };
+    let name = std::ffi::CString::new(path.as_os_str().as_bytes()).map_err(|e| io(e.into()))?;
+    // SAFETY: statvfs is plain integers, for which all zeros are a valid value.
+    let mut answer: libc::statvfs = unsafe { std::mem::zeroed() };
+    // SAFETY: `name` is a NUL-terminated string and `answer` a writable statvfs; both outlive the call.
+    if unsafe { libc::statvfs(name.as_ptr(), &mut answer) } != 0 {
+        return Err(io(io::Error::last_os_error()));
+    }
+    Ok(answer.f_bavail * answer.f_frsize)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn missing_shared_memory_is_named_with_a_remedy() {
+        let error = Space::create_in(Path::new("/nonexistent/shm")).expect_err("there is no such place");
+        let text = error.to_string();
+        assert!(text.contains("/nonexistent/shm") && text.contains("Mount"), "{text}");
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let text = Space::create_in(file.path()).expect_err("a file is no memory").to_string();
+        assert!(text.contains("not a directory"), "{text}");
+    }
+
+    #[test]
+    fn full_shared_memory_is_said_before_the_run() {
+        let space = Space::create().unwrap();
+        let text = space.reserve(u64::MAX).expect_err("nobody has so much").to_string();
+        assert!(text.contains("bytes free") && text.contains("enlarge"), "{text}");
+        space.reserve(1).unwrap();
+    }
+
+    #[test]
+    fn a_directory_open_to_others_is_refused() {
+        let place = tempfile::tempdir().unwrap();
+        // SAFETY: geteuid cannot fail.
+        let user = unsafe { libc::geteuid() };
+        let base = place.path().join(format!("parallax-{user}"));
+        DirBuilder::new().mode(0o777).create(&base).unwrap();
+        fs::set_permissions(&base, std::os::unix::fs::PermissionsExt::from_mode(0o777)).unwrap();
+        assert!(matches!(Space::create_in(place.path()), Err(ChannelError::ForeignDirectory { .. })));
+    }
+
+    #[test]
+    fn the_remains_of_a_dead_run_are_removed_and_a_live_one_is_kept() {
+        let live = Space::create().unwrap();
+        let base = live.path().parent().unwrap().to_owned();
+        let (dead, name) = (base.join("1-dead"), prefix("1-dead"));
+        fs::create_dir(&dead).unwrap();
+        fs::write(dead.with_extension("lock"), "").unwrap();
+        let segment = Path::new(SHARED_MEMORY).join(format!("{name}x.data"));
+        fs::write(&segment, "").unwrap();
+        clean_stale().unwrap();
+        assert!(!dead.exists() && !dead.with_extension("lock").exists() && !segment.exists());
+        assert!(live.path().exists());
+        let path = live.path().to_owned();
+        drop(live);
+        assert!(!path.exists());
+    }
+}
