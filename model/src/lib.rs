@@ -7,6 +7,7 @@ extern crate self as parallax_model;
 
 pub mod dual;
 pub mod scalar;
+pub mod system;
 pub mod tree;
 
 pub use dual::Dual;
