@@ -1,0 +1,216 @@
+//! What the diagnosis reads: named signals over time, whoever recorded them.
+
+use std::fmt;
+use std::str::FromStr;
+
+use parallax_model::system::Suggestion;
+
+/// What a signal says about the machine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Role {
+    /// What the machine was told to do: drives inputs.
+    Command,
+    /// A measured circumstance, such as a battery voltage: may drive inputs.
+    Context,
+    /// What a sensor read: compared with outputs.
+    Measurement,
+    /// What a controller was aiming at: an input only of a system that binds it as one.
+    Reference,
+}
+
+impl Role {
+    /// All roles.
+    pub const ALL: [Role; 4] = [Role::Command, Role::Context, Role::Measurement, Role::Reference];
+
+    /// Its name in a `recording.toml`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Role::Command => "command",
+            Role::Context => "context",
+            Role::Measurement => "measurement",
+            Role::Reference => "reference",
+        }
+    }
+}
+
+impl fmt::Display for Role {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// A role that does not exist.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("unknown role `{role}`{suggestion} (a role is command, context, measurement or reference)")]
+pub struct UnknownRole {
+    /// What was written.
+    pub role: String,
+    /// The nearest role.
+    pub suggestion: Suggestion,
+}
+
+impl FromStr for Role {
+    type Err = UnknownRole;
+
+    fn from_str(text: &str) -> Result<Self, UnknownRole> {
+        Role::ALL.into_iter().find(|role| role.name() == text).ok_or_else(|| UnknownRole {
+            role: text.into(),
+            suggestion: Suggestion::nearest(text, Role::ALL.iter().map(|role| role.name())),
+        })
+    }
+}
+
+/// Where a signal was read from.
+#[derive(Clone, Debug, PartialEq, Eq, Default)]
+pub struct Source {
+    /// The file's path as it was given.
+    pub file: String,
+    /// The column of a CSV file, or `NODE.LEAF` of a recording.
+    pub column: String,
+}
+
+impl fmt::Display for Source {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "column `{}` of {}", self.column, self.file)
+    }
+}
+
+/// One quantity over time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Signal {
+    /// Its name, unique within the log.
+    pub name: String,
+    /// What it says about the machine.
+    pub role: Role,
+    /// A label such as `rad/s`; empty when none is stated.
+    pub unit: String,
+    /// When each value was true, in nanoseconds; strictly increasing.
+    pub times: Vec<i64>,
+    /// The values, in `unit`; finite, as many as `times`.
+    pub values: Vec<f64>,
+    /// Where it was read from.
+    pub source: Source,
+}
+
+impl Signal {
+    /// The first and last stamp, in nanoseconds; `None` without samples.
+    pub fn span(&self) -> Option<(i64, i64)> {
+        Some((*self.times.first()?, *self.times.last()?))
+    }
+
+    /// Index of the last sample stamped at or before `time` (nanoseconds); `None` before the first.
+    pub fn index_at(&self, time: i64) -> Option<usize> {
+        self.times.partition_point(|stamp| *stamp <= time).checked_sub(1)
+    }
+
+    /// The value that holds at `time` (nanoseconds): the last one stamped at or before it.
+    pub fn held(&self, time: i64) -> Option<f64> {
+        self.index_at(time).map(|index| self.values[index])
+    }
+}
+
+/// The signals of one run.
+#[derive(Clone, Debug, PartialEq, Default)]
+pub struct Log {
+    /// What was recorded, for people.
+    pub title: String,
+    /// Under which terms it may be used; empty when none are stated.
+    pub license: String,
+    /// Values that were fixed during the run; they override or add parameters of a system.
+    pub constants: Vec<(String, f64)>,
+    /// In the order of the file.
+    pub signals: Vec<Signal>,
+}
+
+/// A signal that is not there.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the recording `{title}` has no signal `{name}`{suggestion} (it has: {available})")]
+pub struct UnknownSignal {
+    /// The recording's title.
+    pub title: String,
+    /// The name asked for.
+    pub name: String,
+    /// The nearest name.
+    pub suggestion: Suggestion,
+    /// All names.
+    pub available: String,
+}
+
+impl Log {
+    /// The signal `name`.
+    ///
+    /// # Errors
+    ///
+    /// [`UnknownSignal`], with the names there are.
+    pub fn signal(&self, name: &str) -> Result<&Signal, UnknownSignal> {
+        let names = || self.signals.iter().map(|signal| signal.name.as_str());
+        self.signals.iter().find(|signal| signal.name == name).ok_or_else(|| UnknownSignal {
+            title: self.title.clone(),
+            name: name.into(),
+            suggestion: Suggestion::nearest(name, names()),
+            available: names().collect::<Vec<_>>().join(", "),
+        })
+    }
+
+    /// The earliest and the latest stamp of all signals, in nanoseconds; `None` without samples.
+    pub fn span(&self) -> Option<(i64, i64)> {
+        self.signals
+            .iter()
+            .filter_map(Signal::span)
+            .reduce(|(first, last), (start, end)| (first.min(start), last.max(end)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn log() -> Log {
+        let signal = |name: &str, times: &[i64]| Signal {
+            name: name.into(),
+            role: Role::Measurement,
+            unit: "rad".into(),
+            times: times.into(),
+            values: times.iter().map(|t| *t as f64).collect(),
+            source: Source::default(),
+        };
+        Log {
+            title: "two".into(),
+            signals: vec![signal("position", &[10, 20, 40]), signal("speed", &[-5, 15])],
+            ..Log::default()
+        }
+    }
+
+    #[test]
+    fn a_value_holds_from_its_stamp() {
+        let log = log();
+        let position = log.signal("position").unwrap();
+        assert_eq!(position.held(9), None);
+        assert_eq!(position.held(10), Some(10.0));
+        assert_eq!(position.held(39), Some(20.0));
+        assert_eq!(position.held(1000), Some(40.0));
+    }
+
+    #[test]
+    fn the_span_covers_all_signals() {
+        assert_eq!(log().span(), Some((-5, 40)));
+        assert_eq!(Log::default().span(), None);
+    }
+
+    #[test]
+    fn an_unknown_signal_names_the_nearest_and_all() {
+        let message = log().signal("positon").unwrap_err().to_string();
+        assert!(message.contains("did you mean `position`?"), "{message}");
+        assert!(message.contains("it has: position, speed"), "{message}");
+    }
+
+    #[test]
+    fn roles_have_one_spelling() {
+        for role in Role::ALL {
+            assert_eq!(role.name().parse(), Ok(role));
+        }
+        let message = "comand".parse::<Role>().unwrap_err().to_string();
+        assert!(message.contains("did you mean `command`?"), "{message}");
+    }
+}

@@ -1,0 +1,3 @@
+//! Messages and schedule of one run.
+
+pub mod log;
