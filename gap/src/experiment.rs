@@ -1,0 +1,66 @@
+//! A recording as the fits see it: held commands and stamped readings.
+
+/// A command, held from each stamp until the next.
+#[derive(Clone, Debug, Default)]
+pub struct Held {
+    /// Stamps (s), increasing.
+    pub times: Vec<f64>,
+    /// Values from each stamp on.
+    pub values: Vec<f64>,
+}
+
+/// One sample of one output.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sample {
+    /// Stamp (s).
+    pub stamp: f64,
+    /// Index of the output.
+    pub output: usize,
+    /// The reading.
+    pub value: f64,
+}
+
+/// One recording, bound to a system's inputs and outputs.
+#[derive(Clone, Debug, Default)]
+pub struct Experiment {
+    /// One per input of the system.
+    pub inputs: Vec<Held>,
+    /// All readings in the order of their stamps, then of their outputs.
+    pub samples: Vec<Sample>,
+    /// Per output: the period of an angle, if it wraps.
+    pub wraps: Vec<Option<f64>>,
+}
+
+impl Held {
+    /// The value at `time`: the last one stamped at or before it, the first one before that.
+    #[must_use]
+    pub fn at(&self, time: f64) -> f64 {
+        let after = self.times.partition_point(|t| *t <= time);
+        self.values.get(after.saturating_sub(1)).copied().unwrap_or(0.0)
+    }
+}
+
+impl Experiment {
+    /// Stamps of the first and the last reading (s).
+    #[must_use]
+    pub fn span(&self) -> (f64, f64) {
+        match (self.samples.first(), self.samples.last()) {
+            (Some(first), Some(last)) => (first.stamp, last.stamp),
+            _ => (0.0, 0.0),
+        }
+    }
+
+    /// The readings of one output: stamps and values.
+    #[must_use]
+    pub fn output(&self, output: usize) -> (Vec<f64>, Vec<f64>) {
+        self.samples.iter().filter(|s| s.output == output).map(|s| (s.stamp, s.value)).unzip()
+    }
+
+    /// The median time between readings of one output (s).
+    #[must_use]
+    pub fn period(&self, output: usize) -> f64 {
+        let (stamps, _) = self.output(output);
+        let mut steps: Vec<f64> = stamps.windows(2).map(|w| w[1] - w[0]).collect();
+        crate::statistics::median(&mut steps)
+    }
+}

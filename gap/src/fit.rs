@@ -1,0 +1,179 @@
+//! Damped Gauss–Newton over a hypothesis' parameters, within bounds and under priors.
+//!
+//! Both losses use it: the innovation likelihood ([`crate::innovation`]) and short windows ([`crate::shooting`]).
+//! Steps are taken in units of each parameter's scale.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::hypothesis::Fitted;
+
+/// A loss around one point: its value and its Gauss–Newton model, all without the priors.
+#[derive(Clone, Debug)]
+pub struct Local {
+    /// The loss: −2 log likelihood.
+    pub cost: f64,
+    /// Half its Hessian, JᵀJ of the whitened residuals by θ, p × p row by row.
+    pub information: Vec<f64>,
+    /// Half its gradient, Jᵀe.
+    pub gradient: Vec<f64>,
+}
+
+/// Where a minimisation ended.
+#[derive(Clone, Debug)]
+pub struct Minimum {
+    /// The parameters θ.
+    pub theta: Vec<f64>,
+    /// The loss there, with the priors' −2 log densities.
+    pub cost: f64,
+    /// Half the Hessian with the priors' precision, in units of θ.
+    pub information: DMatrix<f64>,
+}
+
+/// The priors' −2 log density at θ.
+#[must_use]
+pub fn prior_cost(fitted: &[Fitted], theta: &[f64]) -> f64 {
+    fitted.iter().zip(theta).map(|(f, v)| f.prior.cost(*v)).sum()
+}
+
+/// Minimises `loss` plus the priors from `start`.
+///
+/// `loss` is asked at points within the bounds; `accepted` is told of each accepted point, so that it can re-estimate
+/// what it holds fixed during a step (the noise) and gives back the loss under the new estimate.
+pub fn minimise<L>(fitted: &[Fitted], start: &[f64], iterations: usize, mut loss: L) -> Minimum
+where
+    L: FnMut(&[f64], bool) -> Local,
+{
+    let p = fitted.len();
+    let clamp = |theta: &mut [f64]| {
+        for (v, f) in theta.iter_mut().zip(fitted) {
+            *v = v.clamp(f.low, f.high);
+        }
+    };
+    let mut theta = start.to_vec();
+    clamp(&mut theta);
+    let mut local = loss(&theta, true);
+    let mut cost = local.cost + prior_cost(fitted, &theta);
+    let mut damping = 1e-3;
+    for _ in 0..iterations {
+        if p == 0 {
+            break;
+        }
+        let (hessian, gradient) = with_priors(fitted, &theta, &local);
+        let mut accepted = false;
+        for _ in 0..8 {
+            let Some(step) = bounded_step(fitted, &theta, &hessian, &gradient, damping) else {
+                damping *= 10.0;
+                continue;
+            };
+            let mut trial: Vec<f64> = theta.iter().zip(&step).map(|(v, d)| v + d).collect();
+            clamp(&mut trial);
+            let trial_local = loss(&trial, false);
+            let trial_cost = trial_local.cost + prior_cost(fitted, &trial);
+            if trial_cost.is_finite() && trial_cost < cost {
+                let gain = cost - trial_cost;
+                theta = trial;
+                local = loss(&theta, true);
+                let refreshed = local.cost + prior_cost(fitted, &theta);
+                let moved = gain + (trial_cost - refreshed).max(0.0);
+                cost = refreshed;
+                damping = (damping * 0.2).max(1e-9);
+                accepted = moved > 1e-3;
+                break;
+            }
+            damping *= 6.0;
+        }
+        if !accepted {
+            break;
+        }
+    }
+    let (hessian, _) = with_priors(fitted, &theta, &local);
+    Minimum { theta, cost, information: hessian }
+}
+
+fn with_priors(fitted: &[Fitted], theta: &[f64], local: &Local) -> (DMatrix<f64>, DVector<f64>) {
+    let p = fitted.len();
+    let mut hessian = DMatrix::from_row_slice(p, p, &local.information);
+    let mut gradient = DVector::from_row_slice(&local.gradient);
+    for (i, f) in fitted.iter().enumerate() {
+        let (mean, precision) = f.prior.quadratic();
+        hessian[(i, i)] += precision;
+        gradient[i] += precision * (theta[i] - mean);
+    }
+    (hessian, gradient)
+}
+
+/// A damped Newton step, parameters held where they rest on a bound and the slope points outside.
+fn bounded_step(
+    fitted: &[Fitted],
+    theta: &[f64],
+    hessian: &DMatrix<f64>,
+    gradient: &DVector<f64>,
+    damping: f64,
+) -> Option<Vec<f64>> {
+    let free: Vec<usize> = (0..fitted.len())
+        .filter(|&i| {
+            let f = &fitted[i];
+            !((theta[i] <= f.low && gradient[i] > 0.0) || (theta[i] >= f.high && gradient[i] < 0.0))
+        })
+        .collect();
+    let mut matrix = DMatrix::zeros(free.len(), free.len());
+    let mut right = DVector::zeros(free.len());
+    for (a, &i) in free.iter().enumerate() {
+        for (b, &j) in free.iter().enumerate() {
+            matrix[(a, b)] = hessian[(i, j)] * fitted[i].scale * fitted[j].scale;
+        }
+        right[a] = -gradient[i] * fitted[i].scale;
+    }
+    let largest = matrix.diagonal().max().max(1e-12);
+    for a in 0..free.len() {
+        matrix[(a, a)] += damping * matrix[(a, a)].max(1e-9 * largest);
+    }
+    let solution = matrix.cholesky()?.solve(&right);
+    let mut step = vec![0.0; fitted.len()];
+    for (a, &i) in free.iter().enumerate() {
+        step[i] = solution[a] * fitted[i].scale;
+    }
+    step.iter().all(|d| d.is_finite()).then_some(step)
+}
+
+impl Minimum {
+    /// Standard deviations of θ by the curvature at the minimum.
+    #[must_use]
+    pub fn std(&self) -> Vec<f64> {
+        let p = self.theta.len();
+        self.covariance().map_or_else(
+            || vec![f64::INFINITY; p],
+            |c| (0..p).map(|i| c[(i, i)].max(0.0).sqrt()).collect(),
+        )
+    }
+
+    /// Covariance of θ by the curvature at the minimum, if it is curved in every direction.
+    #[must_use]
+    pub fn covariance(&self) -> Option<DMatrix<f64>> {
+        self.information.clone().cholesky().map(|c| c.inverse())
+    }
+
+    /// Laplace's approximation of −2 log evidence: the minimum, and the volume around it.
+    /// (MacKay, "Information Theory, Inference, and Learning Algorithms", chapter 27.)
+    #[must_use]
+    pub fn evidence_cost(&self, fitted: &[Fitted]) -> f64 {
+        let p = fitted.len();
+        let mut scaled = self.information.clone();
+        let mut volume = 0.0;
+        for (i, f) in fitted.iter().enumerate() {
+            for j in 0..p {
+                scaled[(i, j)] *= f.scale * fitted[j].scale;
+            }
+            volume += 2.0 * f.scale.ln();
+        }
+        // A direction in which nothing is known is no wider than the parameter's own scale times a thousand.
+        for i in 0..p {
+            scaled[(i, i)] += 1e-6;
+        }
+        let log_determinant = match scaled.cholesky() {
+            Some(c) => 2.0 * c.l().diagonal().iter().map(|d| d.ln()).sum::<f64>(),
+            None => return f64::INFINITY,
+        };
+        self.cost + log_determinant - volume - p as f64 * (2.0 * std::f64::consts::PI).ln()
+    }
+}

@@ -1,0 +1,148 @@
+//! A hypothesis: which effects act where, and which parameters are fitted under it.
+
+use parallax_model::effect::{Effect, Place};
+
+/// An effect at a place.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct EffectAt {
+    /// The effect.
+    pub effect: Effect,
+    /// Where it acts.
+    pub place: Place,
+}
+
+impl EffectAt {
+    /// `coulomb@joint:axis`, the form used in reports.
+    #[must_use]
+    pub fn label(&self) -> String {
+        format!("{}@{}", self.effect.name(), self.place)
+    }
+}
+
+/// What is believed of a fitted parameter before the data.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Prior {
+    /// Normal around a mean.
+    Normal {
+        /// The mean.
+        mean: f64,
+        /// The standard deviation.
+        std: f64,
+    },
+    /// Half of a normal distribution, on one side of zero; `std` is that of the whole.
+    HalfNormal {
+        /// The standard deviation of the whole.
+        std: f64,
+    },
+    /// Uniform between bounds.
+    Uniform {
+        /// Lower bound.
+        low: f64,
+        /// Upper bound.
+        high: f64,
+    },
+}
+
+impl Prior {
+    /// −2 log of the density at `value`.
+    #[must_use]
+    pub fn cost(&self, value: f64) -> f64 {
+        let normal = |mean: f64, std: f64| {
+            let z = (value - mean) / std;
+            z * z + (2.0 * std::f64::consts::PI * std * std).ln()
+        };
+        match *self {
+            Prior::Normal { mean, std } => normal(mean, std),
+            Prior::HalfNormal { std } => normal(0.0, std) - 2.0 * 2.0_f64.ln(),
+            Prior::Uniform { low, high } => 2.0 * (high - low).ln(),
+        }
+    }
+
+    /// Mean and precision of its quadratic part, for a Gauss–Newton step; no precision where it is flat.
+    #[must_use]
+    pub fn quadratic(&self) -> (f64, f64) {
+        match *self {
+            Prior::Normal { mean, std } => (mean, 1.0 / (std * std)),
+            Prior::HalfNormal { std } => (0.0, 1.0 / (std * std)),
+            Prior::Uniform { low, high } => (0.5 * (low + high), 0.0),
+        }
+    }
+}
+
+/// What a fitted parameter stands for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Slot {
+    /// A parameter of the nominal system, by index.
+    Nominal(usize),
+    /// Parameter `parameter` of the hypothesis' effect `effect`.
+    Effect {
+        /// Index into [`Hypothesis::effects`].
+        effect: usize,
+        /// Index into the effect's parameters.
+        parameter: usize,
+    },
+    /// A weight of the flexible residual force or sensor.
+    Weight(usize),
+}
+
+/// One parameter that is fitted: an entry of θ.
+#[derive(Clone, Debug)]
+pub struct Fitted {
+    /// What it stands for.
+    pub slot: Slot,
+    /// Its name in the report.
+    pub name: String,
+    /// Its unit, a label.
+    pub unit: String,
+    /// Its nominal value, or the value at which its effect vanishes.
+    pub null: f64,
+    /// What is believed of it.
+    pub prior: Prior,
+    /// Lower bound.
+    pub low: f64,
+    /// Upper bound.
+    pub high: f64,
+    /// Its natural size: steps and derivatives are taken in units of it.
+    pub scale: f64,
+    /// Values to start a fit from.
+    pub starts: Vec<f64>,
+}
+
+/// Effects, and the parameters fitted under them. No effects: the nominal model, refitted.
+#[derive(Clone, Debug, Default)]
+pub struct Hypothesis {
+    /// The effects it adds to the nominal model.
+    pub effects: Vec<EffectAt>,
+    /// The parameters it fits: calibrated ones first.
+    pub fitted: Vec<Fitted>,
+    /// Whether it carries a flexible residual instead of a named cause.
+    pub residual: bool,
+}
+
+impl Hypothesis {
+    /// `delay@input:u + coulomb@joint:axis`, or `no effect`.
+    #[must_use]
+    pub fn label(&self) -> String {
+        if self.residual {
+            return "unknown".into();
+        }
+        if self.effects.is_empty() {
+            return "no effect".into();
+        }
+        self.effects.iter().map(EffectAt::label).collect::<Vec<_>>().join(" + ")
+    }
+
+    /// The starting points: every effect parameter's starts taken together, calibrated ones at their null.
+    #[must_use]
+    pub fn starts(&self) -> Vec<Vec<f64>> {
+        let count = self.fitted.iter().map(|f| f.starts.len()).max().unwrap_or(1).max(1);
+        (0..count)
+            .map(|k| {
+                self.fitted
+                    .iter()
+                    .map(|f| f.starts.get(k % f.starts.len().max(1)).copied().unwrap_or(f.null))
+                    .collect()
+            })
+            .collect()
+    }
+}

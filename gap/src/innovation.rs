@@ -1,0 +1,103 @@
+//! Fits by innovation likelihood: the filter, its noise re-estimated, under one hypothesis.
+
+use crate::filter::{Noise, Pass, Start, filter};
+use crate::fit::{Local, Minimum, minimise};
+use crate::hypothesis::Hypothesis;
+use crate::shooting::locate;
+use crate::simulator::Simulator;
+
+/// A stretch of a recording, and the state guessed at its start.
+#[derive(Clone, Debug)]
+pub struct Segment {
+    /// First stamp (s).
+    pub from: f64,
+    /// End (s), not included.
+    pub to: f64,
+    /// The state guessed at the first reading.
+    pub state: Vec<f64>,
+    /// Standard deviation of that guess: large where nothing is known.
+    pub std: Vec<f64>,
+}
+
+/// Bounds and scales of the noise, the same for every hypothesis.
+#[derive(Clone, Debug)]
+pub struct NoiseModel {
+    /// Size of the process noise per state, zero for one that only integrates another.
+    pub scale: Vec<f64>,
+    /// Bounds of each output's log variance.
+    pub limits: Vec<(f64, f64)>,
+    /// Lower bound of the process noise.
+    pub process_floor: f64,
+    /// Where to start.
+    pub initial: Noise,
+}
+
+/// A hypothesis fitted by innovation likelihood.
+#[derive(Clone, Debug)]
+pub struct InnovationFit {
+    /// Parameters, cost and curvature.
+    pub minimum: Minimum,
+    /// The noise under this hypothesis.
+    pub noise: Noise,
+    /// The filter's walk at the minimum.
+    pub pass: Pass,
+    /// −2 log evidence.
+    pub evidence_cost: f64,
+}
+
+/// The filter's walk of `simulator` over the segments at θ.
+pub fn walk(simulator: &dyn Simulator, segments: &[Segment], model: &NoiseModel, noise: &Noise, theta: &[f64]) -> Pass {
+    let mut run = simulator.run(theta);
+    let starts: Vec<Start> = segments
+        .iter()
+        .filter_map(|s| {
+            let (first, end) = locate(run.events(), s.from, s.to)?;
+            Some(Start { first, end, state: s.state.clone(), std: s.std.clone() })
+        })
+        .collect();
+    filter(&mut *run, &starts, simulator.states(), simulator.parameters(), &model.scale, noise)
+}
+
+/// Fits a hypothesis from one starting point.
+pub fn fit(
+    simulator: &dyn Simulator,
+    hypothesis: &Hypothesis,
+    segments: &[Segment],
+    model: &NoiseModel,
+    noise: &Noise,
+    start: &[f64],
+) -> InnovationFit {
+    let p = simulator.parameters();
+    let mut noise = noise.clone();
+    let mut last: Option<(Vec<f64>, Pass)> = None;
+    let minimum = minimise(&hypothesis.fitted, start, 30, |theta, accepted| {
+        let known = last.take().filter(|(at, _)| at == theta);
+        let mut pass = match known {
+            Some((_, pass)) => pass,
+            None => walk(simulator, segments, model, &noise, theta),
+        };
+        if accepted {
+            let better = pass.refit_noise(&model.scale, &noise, &model.limits, model.process_floor);
+            if better != noise {
+                let again = walk(simulator, segments, model, &better, theta);
+                // The search is around a linearised walk: it counts only if the walk itself agrees.
+                if again.cost() < pass.cost() {
+                    (noise, pass) = (better, again);
+                }
+            }
+        }
+        let mut local = Local { cost: pass.cost(), information: vec![0.0; p * p], gradient: vec![0.0; p] };
+        if !local.cost.is_finite() {
+            local.cost = f64::INFINITY;
+        }
+        pass.accumulate(&mut local.information, &mut local.gradient);
+        last = Some((theta.to_vec(), pass));
+        local
+    });
+    let pass = match last.filter(|(at, _)| *at == minimum.theta) {
+        Some((_, pass)) => pass,
+        None => walk(simulator, segments, model, &noise, &minimum.theta),
+    };
+    let evidence_cost = minimum.evidence_cost(&hypothesis.fitted);
+    InnovationFit { minimum, noise, pass, evidence_cost }
+}

@@ -1,0 +1,264 @@
+//! What a diagnosis knows before it fits anything: segments, noise, natural sizes.
+
+use parallax_model::plant::Plant;
+use parallax_model::system::{Equations, Initial, Point};
+
+use crate::equations::EquationsSimulator;
+use crate::experiment::Experiment;
+use crate::filter::Noise;
+use crate::innovation::{NoiseModel, Segment, walk};
+use crate::noise;
+use crate::statistics::{root_mean_square, standard_deviation};
+
+/// A system bound to a recording, with everything that is the same for every hypothesis.
+#[derive(Clone, Debug)]
+pub struct Setup {
+    /// The nominal equations.
+    pub equations: Equations,
+    /// The recording.
+    pub experiment: Experiment,
+    /// Model-free noise of each output: standard deviation.
+    pub output_noise: Vec<f64>,
+    /// Noise bounds and scales.
+    pub noise: NoiseModel,
+    /// Stretches that are fitted.
+    pub train: Vec<Segment>,
+    /// Stretches that are held out.
+    pub test: Vec<Segment>,
+    /// Length of the short windows and of the predictions that are scored (s).
+    pub horizon: f64,
+    /// Longest integration step (s).
+    pub step: f64,
+    /// Median time between readings of the fastest output (s).
+    pub period: f64,
+    /// Natural sizes of each joint.
+    pub joints: Vec<JointScale>,
+    /// Standard deviation of each output's readings.
+    pub output_scale: Vec<f64>,
+    /// Smallest, largest and root mean square value of each command.
+    pub input_range: Vec<InputRange>,
+}
+
+/// How far a command went.
+#[derive(Clone, Copy, Debug)]
+pub struct InputRange {
+    /// Smallest value.
+    pub low: f64,
+    /// Largest value.
+    pub high: f64,
+    /// Standard deviation over time.
+    pub std: f64,
+}
+
+/// How fast and how hard a joint moved.
+#[derive(Clone, Copy, Debug)]
+pub struct JointScale {
+    /// Root mean square speed.
+    pub speed: f64,
+    /// Root mean square of the driving force, or of inertia times acceleration where no drive is stated.
+    pub force: f64,
+    /// Speed within which the direction of motion is smoothed.
+    pub smoothing: f64,
+}
+
+/// Share of the log that is held out for the quantification, as blocks spread over it.
+const BLOCKS: usize = 10;
+
+impl Setup {
+    /// Looks at the data once, without judging it.
+    #[must_use]
+    pub fn new(equations: Equations, experiment: Experiment, horizon: Option<f64>) -> Self {
+        let outputs = experiment.wraps.len();
+        let period = (0..outputs)
+            .filter(|o| experiment.output(*o).0.len() > 2)
+            .map(|o| experiment.period(o))
+            .fold(f64::INFINITY, f64::min);
+        let period = if period.is_finite() && period > 0.0 { period } else { 0.01 };
+        // A quarter of a second where sampling allows, else enough samples to see a state.
+        let horizon = horizon.unwrap_or_else(|| (10.0 * period).max(0.25));
+        let output_noise: Vec<f64> = (0..outputs)
+            .map(|o| {
+                equations.system().outputs[o]
+                    .noise
+                    .unwrap_or_else(|| noise::model_free(&experiment.output(o).1, experiment.wraps[o]))
+            })
+            .collect();
+        let output_scale: Vec<f64> =
+            (0..outputs).map(|o| standard_deviation(&noise::unwrapped(&experiment.output(o).1, experiment.wraps[o]))).collect();
+        let (state, std) = guess(&equations, &experiment, &output_scale, period);
+        let (train, test) = segments(&experiment, horizon, &state, &std);
+        let scale: Vec<f64> =
+            (0..equations.system().states.len()).map(|i| f64::from(u8::from(!kinematic(&equations, i)))).collect();
+        let limits = (0..outputs)
+            .map(|o| {
+                let log = 2.0 * output_noise[o].ln();
+                match equations.system().outputs[o].noise {
+                    Some(_) => (log, log),
+                    None => (log - 3.0, log + 18.0),
+                }
+            })
+            .collect();
+        let initial =
+            Noise { log_process: 0.0, log_output: output_noise.iter().map(|s| 2.0 * s.ln()).collect() };
+        let noise = NoiseModel { scale, limits, process_floor: -60.0, initial };
+        let input_range = experiment
+            .inputs
+            .iter()
+            .map(|h| InputRange {
+                low: h.values.iter().copied().fold(f64::INFINITY, f64::min),
+                high: h.values.iter().copied().fold(f64::NEG_INFINITY, f64::max),
+                std: standard_deviation(&h.values),
+            })
+            .collect();
+        let mut setup = Setup {
+            equations,
+            experiment,
+            output_noise,
+            noise,
+            train,
+            test,
+            horizon,
+            step: period.min(0.01 * (period / 0.01).max(1.0)),
+            period,
+            joints: Vec::new(),
+            output_scale,
+            input_range,
+        };
+        setup.measure();
+        setup
+    }
+
+    /// Runs the nominal model once, corrected by the readings, to see how large its motions are.
+    fn measure(&mut self) {
+        let joints = self.equations.system().joints.len();
+        let plant = Plant::new(self.equations.clone(), &[], Vec::new(), vec![1.0; joints]);
+        let simulator = EquationsSimulator {
+            plant: plant.clone(),
+            slots: Vec::new(),
+            experiment: &self.experiment,
+            step: self.step,
+        };
+        let n = self.equations.system().states.len();
+        let all: Vec<Segment> = self.train.iter().chain(&self.test).cloned().collect();
+        // Start from a process noise that lets the readings lead, then let the likelihood choose.
+        let mut noise = self.noise.initial.clone();
+        noise.log_process = 2.0 * self.typical_rate().max(1e-12).ln();
+        let pass = walk(&simulator, &all, &self.noise, &noise, &[]);
+        noise = pass.refit_noise(&self.noise.scale, &noise, &self.noise.limits, self.noise.process_floor);
+        let pass = walk(&simulator, &all, &self.noise, &noise, &[]);
+        let parameters = self.equations.nominal();
+        let mut rates = vec![Vec::new(); n];
+        let mut speeds = vec![Vec::new(); joints];
+        let mut forces = vec![Vec::new(); joints];
+        for (k, stamp) in pass.stamp.iter().enumerate() {
+            let states = &pass.state[k * n..(k + 1) * n];
+            let inputs: Vec<f64> = self.experiment.inputs.iter().map(|h| h.at(*stamp)).collect();
+            let point = Point { parameters: &parameters, states, inputs: &inputs, time: *stamp };
+            let values = self.equations.values(&point, &[]);
+            for (rate, value) in rates.iter_mut().zip(&values.derivatives) {
+                rate.push(*value);
+            }
+            for j in 0..joints {
+                let joint = self.equations.joint(j, &point, &values.lets);
+                speeds[j].push(joint.velocity);
+                let inertial = || {
+                    let state = self.equations.system().joints[j].velocity_state?;
+                    Some(joint.inertia? * values.derivatives[state])
+                };
+                if let Some(force) = joint.drive.or_else(inertial).or(joint.force) {
+                    forces[j].push(force);
+                }
+            }
+        }
+        for (scale, rate) in self.noise.scale.iter_mut().zip(&rates) {
+            let size = root_mean_square(rate);
+            if *scale > 0.0 && size.is_finite() && size > 0.0 {
+                *scale = size;
+            }
+        }
+        // In units of these scales the intensities are ratios; the search starts from a hundredth.
+        self.noise.initial = Noise { log_process: (1e-4_f64 * self.period).ln(), log_output: noise.log_output };
+        self.joints = (0..joints)
+            .map(|j| {
+                let speed = root_mean_square(&speeds[j]).max(1e-12);
+                let force = root_mean_square(&forces[j]).max(1e-12);
+                // Steep enough to be dry friction at working speeds.
+                JointScale { speed, force, smoothing: 0.02 * speed }
+            })
+            .collect();
+    }
+
+    /// A rate of change of the states that the data suggest: output scale over the horizon.
+    fn typical_rate(&self) -> f64 {
+        let largest = self.output_scale.iter().copied().fold(0.0, f64::max);
+        largest / (self.horizon * self.horizon)
+    }
+}
+
+/// A state whose derivative is another state alone: it integrates, and no noise enters it.
+fn kinematic(equations: &Equations, state: usize) -> bool {
+    derivative_is_state(equations, state).is_some()
+}
+
+fn derivative_is_state(equations: &Equations, state: usize) -> Option<usize> {
+    let system = equations.system();
+    let text = system.states[state].derivative.text();
+    system.states.iter().position(|s| s.name == text.trim())
+}
+
+/// Where the states may be at an arbitrary time: at zero or their declared start, within what the outputs suggest.
+fn guess(equations: &Equations, experiment: &Experiment, output_scale: &[f64], period: f64) -> (Vec<f64>, Vec<f64>) {
+    let system = equations.system();
+    let n = system.states.len();
+    let mut state = vec![0.0; n];
+    let mut std = vec![f64::NAN; n];
+    for (i, s) in system.states.iter().enumerate() {
+        if let Some(output) = system.outputs.iter().position(|o| o.value.text().trim() == s.name) {
+            let (_, values) = experiment.output(output);
+            let values = noise::unwrapped(&values, experiment.wraps[output]);
+            let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
+            state[i] = mean;
+            std[i] = 10.0 * output_scale[output].max(1e-9);
+            if let Some(rate) = derivative_is_state(equations, i) {
+                let steps: Vec<f64> =
+                    values.windows(2).map(|w| (w[1] - w[0]) / period.max(1e-9)).collect();
+                std[rate] = 3.0 * root_mean_square(&steps).max(1e-9);
+            }
+        }
+    }
+    for (i, s) in system.states.iter().enumerate() {
+        if let Initial::Calibrated { value, low, high } = s.initial {
+            state[i] = value;
+            std[i] = 0.5 * (high - low);
+        } else if let Initial::Fixed(value) = s.initial {
+            state[i] = value;
+        }
+        if std[i].is_nan() {
+            let largest = output_scale.iter().copied().fold(1.0, f64::max);
+            std[i] = 10.0 * largest.max(state[i].abs());
+        }
+    }
+    (state, std)
+}
+
+/// Cuts the log into blocks: of every three, the third is held out.
+fn segments(experiment: &Experiment, horizon: f64, state: &[f64], std: &[f64]) -> (Vec<Segment>, Vec<Segment>) {
+    let (from, to) = experiment.span();
+    let blocks = (((to - from) / (4.0 * horizon)).floor() as usize).clamp(1, BLOCKS);
+    let length = (to - from) / blocks as f64;
+    let mut train: Vec<Segment> = Vec::new();
+    let mut test = Vec::new();
+    for block in 0..blocks {
+        let a = from + block as f64 * length;
+        let b = if block + 1 == blocks { to + 1e-9 } else { a + length };
+        let segment = Segment { from: a, to: b, state: state.to_vec(), std: std.to_vec() };
+        if block % 3 == 2 || (blocks == 2 && block == 1) {
+            test.push(segment);
+        } else if let Some(last) = train.last_mut().filter(|s| (s.to - a).abs() < 1e-9) {
+            last.to = b;
+        } else {
+            train.push(segment);
+        }
+    }
+    (train, test)
+}

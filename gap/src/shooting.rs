@@ -1,0 +1,248 @@
+//! Short windows with free initial states.
+//!
+//! The log is cut into windows of a fraction of a second. Each has an initial state of its own, fitted together with
+//! the shared parameters; nothing drifts over more than a window, so closed loops and unstable plants are no trouble
+//! (multiple shooting without continuity: Bock 1983; the states are eliminated window by window).
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::fit::Local;
+use crate::simulator::{Event, Prediction, Run, Transition, wrapped};
+
+/// A window: readings whose stamps lie in `[from, to)`, and the state guessed at its first one.
+#[derive(Clone, Debug)]
+pub struct Window {
+    /// Stamp of the first reading (s).
+    pub from: f64,
+    /// End of the window (s).
+    pub to: f64,
+    /// The initial state; refined in place by every evaluation.
+    pub state: Vec<f64>,
+    /// Standard deviation of a weak prior on the initial state around `guess`.
+    pub std: Vec<f64>,
+    /// Where the initial state was guessed to be.
+    pub guess: Vec<f64>,
+}
+
+/// The events of a window: from its first reading to its last.
+#[must_use]
+pub fn locate(events: &[Event], from: f64, to: f64) -> Option<(usize, usize)> {
+    let inside = |e: &Event| e.reading.is_some_and(|r| r.stamp >= from && r.stamp < to);
+    // Delays are far shorter than a log: the events of a window lie around its stamps, and a search from the first
+    // event that may belong to it is enough.
+    let begin = events.partition_point(|e| e.time < from - 2.0);
+    let first = begin + events[begin..].iter().position(inside)?;
+    let stop = events.partition_point(|e| e.time < to + 2.0);
+    let last = first + events[first..stop].iter().rposition(inside)?;
+    Some((first, last + 1))
+}
+
+/// Residuals of windows at one θ.
+#[derive(Clone, Debug, Default)]
+pub struct Residuals {
+    /// Sum of squared residuals per output.
+    pub squares: Vec<f64>,
+    /// Readings per output.
+    pub counts: Vec<usize>,
+}
+
+/// The cost of the windows at the run's parameters, initial states eliminated.
+///
+/// `variance` per output weighs the residuals; each window's state is refined by two Gauss–Newton steps first.
+pub fn shoot(
+    run: &mut dyn Run,
+    windows: &mut [Window],
+    states: usize,
+    parameters: usize,
+    variance: &[f64],
+) -> (Local, Residuals) {
+    let (n, p) = (states, parameters);
+    let mut total = Local { cost: 0.0, information: vec![0.0; p * p], gradient: vec![0.0; p] };
+    let mut residuals = Residuals { squares: vec![0.0; variance.len()], counts: vec![0; variance.len()] };
+    let mut normal = Normal::new(n, p);
+    for window in windows {
+        let Some((first, end)) = locate(run.events(), window.from, window.to) else { continue };
+        normal.march(run, first, end, window, variance, None);
+        if n > 0 {
+            let mut best = normal.cost(window);
+            for _ in 0..3 {
+                let Some(step) = normal.state_step(window) else { break };
+                let before = window.state.clone();
+                for (x, d) in window.state.iter_mut().zip(step.iter()) {
+                    *x += d;
+                }
+                normal.march(run, first, end, window, variance, None);
+                let cost = normal.cost(window);
+                if !(cost < best) {
+                    if !(cost <= best + 1e-9 * best.abs()) {
+                        window.state = before;
+                    }
+                    break;
+                }
+                let gain = best - cost;
+                best = cost;
+                if gain < 1e-4 {
+                    break;
+                }
+            }
+        }
+        normal.march(run, first, end, window, variance, Some(&mut residuals));
+        normal.eliminate(window, &mut total);
+    }
+    for (count, v) in residuals.counts.iter().zip(variance) {
+        total.cost += *count as f64 * v.ln();
+    }
+    (total, residuals)
+}
+
+/// The normal equations of one window.
+struct Normal {
+    n: usize,
+    p: usize,
+    squares: f64,
+    /// JᵀJ over `[state | θ]`.
+    information: DMatrix<f64>,
+    /// Jᵀe over the same.
+    gradient: DVector<f64>,
+    by_state: Vec<f64>,
+    by_parameter: Vec<f64>,
+    scratch: Vec<f64>,
+    transition: Transition,
+    prediction: Prediction,
+}
+
+impl Normal {
+    fn new(n: usize, p: usize) -> Self {
+        Normal {
+            n,
+            p,
+            squares: 0.0,
+            information: DMatrix::zeros(n + p, n + p),
+            gradient: DVector::zeros(n + p),
+            by_state: vec![0.0; n * n],
+            by_parameter: vec![0.0; n * p],
+            scratch: vec![0.0; n * n.max(p)],
+            transition: Transition::default(),
+            prediction: Prediction::default(),
+        }
+    }
+
+    fn march(
+        &mut self,
+        run: &mut dyn Run,
+        first: usize,
+        end: usize,
+        window: &Window,
+        variance: &[f64],
+        mut residuals: Option<&mut Residuals>,
+    ) {
+        let (n, p) = (self.n, self.p);
+        self.squares = 0.0;
+        self.information.fill(0.0);
+        self.gradient.fill(0.0);
+        self.by_parameter.fill(0.0);
+        self.by_state.fill(0.0);
+        for i in 0..n {
+            self.by_state[i * n + i] = 1.0;
+        }
+        let mut x = window.state.clone();
+        let mut row = vec![0.0; n + p];
+        for index in first..end {
+            let reading = run.events()[index].reading;
+            if let Some(reading) = reading.filter(|r| r.stamp >= window.from && r.stamp < window.to) {
+                run.observe(index, &x, &mut self.prediction);
+                let e = wrapped(reading.value - self.prediction.value, run.wrap(reading.output));
+                let weight = 1.0 / variance[reading.output];
+                if let Some(residuals) = residuals.as_deref_mut() {
+                    residuals.squares[reading.output] += e * e;
+                    residuals.counts[reading.output] += 1;
+                }
+                self.squares += e * e * weight;
+                for j in 0..n {
+                    row[j] = -(0..n).map(|i| self.prediction.by_state[i] * self.by_state[i * n + j]).sum::<f64>();
+                }
+                for j in 0..p {
+                    let through: f64 =
+                        (0..n).map(|i| self.prediction.by_state[i] * self.by_parameter[i * p + j]).sum();
+                    row[n + j] = -(through + self.prediction.by_parameter[j]);
+                }
+                for i in 0..n + p {
+                    self.gradient[i] += row[i] * e * weight;
+                    for j in 0..=i {
+                        self.information[(i, j)] += row[i] * row[j] * weight;
+                    }
+                }
+            }
+            if index + 1 < end {
+                run.advance(index, &mut x, &mut self.transition);
+                for i in 0..n {
+                    for j in 0..n {
+                        self.scratch[i * n + j] =
+                            (0..n).map(|k| self.transition.by_state[i * n + k] * self.by_state[k * n + j]).sum();
+                    }
+                }
+                self.by_state.copy_from_slice(&self.scratch[..n * n]);
+                for i in 0..n {
+                    for j in 0..p {
+                        let through: f64 =
+                            (0..n).map(|k| self.transition.by_state[i * n + k] * self.by_parameter[k * p + j]).sum();
+                        self.scratch[i * p + j] = through + self.transition.by_parameter[i * p + j];
+                    }
+                }
+                self.by_parameter.copy_from_slice(&self.scratch[..n * p]);
+            }
+        }
+        for i in 0..n + p {
+            for j in 0..i {
+                self.information[(j, i)] = self.information[(i, j)];
+            }
+        }
+    }
+
+    /// Squared residuals and the weak prior of the initial state.
+    fn cost(&self, window: &Window) -> f64 {
+        let prior: f64 = window
+            .state
+            .iter()
+            .zip(&window.guess)
+            .zip(&window.std)
+            .map(|((x, g), s)| ((x - g) / s).powi(2))
+            .sum();
+        self.squares + prior
+    }
+
+    /// Hessian and gradient of the initial state, its prior included.
+    fn state_system(&self, window: &Window) -> (DMatrix<f64>, DVector<f64>) {
+        let n = self.n;
+        let mut a = self.information.view((0, 0), (n, n)).into_owned();
+        let mut g = self.gradient.rows(0, n).into_owned();
+        for i in 0..n {
+            let precision = window.std[i].powi(-2);
+            a[(i, i)] += precision;
+            g[i] += precision * (window.state[i] - window.guess[i]);
+        }
+        (a, g)
+    }
+
+    fn state_step(&self, window: &Window) -> Option<DVector<f64>> {
+        let (a, g) = self.state_system(window);
+        a.cholesky().map(|c| -c.solve(&g))
+    }
+
+    /// Adds the window to the total, its state projected out (Schur complement).
+    fn eliminate(&self, window: &Window, total: &mut Local) {
+        let (n, p) = (self.n, self.p);
+        total.cost += self.cost(window);
+        let cross = self.information.view((0, n), (n, p));
+        let (a, g) = self.state_system(window);
+        let reduced = if n == 0 { None } else { a.cholesky() };
+        for i in 0..p {
+            let solved = reduced.as_ref().map(|c| c.solve(&cross.column(i).into_owned()));
+            total.gradient[i] += self.gradient[n + i] - solved.as_ref().map_or(0.0, |s| s.dot(&g));
+            for j in 0..p {
+                let through = solved.as_ref().map_or(0.0, |s| s.dot(&cross.column(j)));
+                total.information[i * p + j] += self.information[(n + i, n + j)] - through;
+            }
+        }
+    }
+}
