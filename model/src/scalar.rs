@@ -6,7 +6,21 @@ use std::ops::{Add, AddAssign, BitAnd, BitOr, Div, DivAssign, Mul, MulAssign, Ne
 /// A number that a model computes with: `f64`, a dual number, a traced value, later an array of lanes.
 ///
 /// Comparison gives a [`Scalar::Mask`], never a `bool`: a branch on a value is written with
-/// [`Scalar::select`], so that the same source can be traced, differentiated and run on lanes.
+/// [`Scalar::select`], so that the same source can be traced, differentiated and run on lanes. A bare `if` does not
+/// compile:
+///
+/// ```compile_fail,E0369
+/// fn larger<T: parallax_model::Scalar>(x: T, y: T) -> T {
+///     if x < y { y } else { x }
+/// }
+/// ```
+///
+/// ```
+/// fn larger<T: parallax_model::Scalar>(x: T, y: T) -> T {
+///     T::select(x.lt(y), y, x)
+/// }
+/// assert_eq!(larger(1.0, 2.0), 2.0);
+/// ```
 pub trait Scalar:
     Copy
     + Debug

@@ -39,6 +39,31 @@ use crate::scalar::Scalar;
 /// A struct of scalars `T`, seen as a flat list of named leaves. Derive it.
 ///
 /// The order of the leaves is the order of the fields, and the same in every method.
+///
+/// A name that a recording could not carry, and two leaves of one name, do not compile:
+///
+/// ```compile_fail
+/// #[derive(parallax_model::Tree)]
+/// struct State<T> {
+///     angle__arm: T,
+/// }
+/// ```
+///
+/// ```compile_fail
+/// #[derive(parallax_model::Tree)]
+/// struct State<T> {
+///     motor: [T; 2],
+///     motor_1: T,
+/// }
+/// ```
+///
+/// ```compile_fail,E0277
+/// #[derive(parallax_model::Tree)]
+/// struct State<T> {
+///     name: String,
+///     angle: T,
+/// }
+/// ```
 #[diagnostic::on_unimplemented(
     message = "`{Self}` is not a tree of `{T}`",
     label = "not a scalar `{T}`, a tree of it, or an array of either",
