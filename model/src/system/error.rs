@@ -92,7 +92,9 @@ pub fn nearest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) ->
     candidates
         .into_iter()
         .map(|candidate| (distance(&letters, candidate), candidate))
-        .filter(|&(distance, candidate)| distance <= allowed && distance < candidate.chars().count().max(2))
+        .filter(|&(distance, candidate)| {
+            distance <= allowed && distance < candidate.chars().count().min(letters.len())
+        })
         .min_by_key(|&(distance, _)| distance)
         .map(|(_, candidate)| candidate)
 }
@@ -258,7 +260,8 @@ pub enum SystemError {
         excerpt: Excerpt,
     },
     /// A name that nothing defines.
-    #[error("{at}: {of}: unknown name `{name}`{suggestion}{hint}{excerpt}")]
+    #[error("{at}: {of}: unknown name `{name}`{suggestion}{}{excerpt}",
+        if suggestion.0.is_none() { *hint } else { "" })]
     UnknownName {
         /// The expression's string.
         at: Location,

@@ -43,13 +43,16 @@
 //! # Ok::<(), parallax_model::system::SystemError>(())
 //! ```
 
+mod correct;
 mod equations;
 mod error;
 mod expression;
 mod lexer;
 mod order;
 mod parts;
+mod program;
 mod read;
+mod signals;
 mod table;
 
 pub use equations::{Equations, JointValues, Point, Values};
