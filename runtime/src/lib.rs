@@ -1,5 +1,11 @@
 //! See the crate's description.
 
 pub mod channel;
+pub mod delay;
+pub mod graph;
 pub mod import;
+pub mod node;
+pub mod random;
 pub mod recording;
+pub mod registry;
+pub mod time;

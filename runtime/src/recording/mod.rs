@@ -1,3 +1,363 @@
-//! Messages and schedule of one run.
+//! What happened in one run: every message, and which step of which node consumed it when.
+//!
+//! A [`Recording`] holds a run in memory. Executors write through a [`RecordingSink`], which is a recording being made
+//! ([`MemorySink`]) or a file being written.
 
+pub mod cdr;
+mod container;
+mod error;
 pub mod log;
+mod reader;
+pub mod ros2msg;
+mod writer;
+
+use serde::{Deserialize, Serialize};
+
+use crate::graph::{Graph, GraphSpec};
+use crate::node::{InputWindow, Layout};
+use crate::time::Nanos;
+
+pub use crate::node::Consumed;
+pub use error::RecordingError;
+pub use writer::{Description, NodeDescription, RecordingWriter, write};
+
+/// The messages and the schedule of one run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Recording {
+    /// The graph that ran.
+    pub graph: GraphSpec,
+    /// The clock that drove it.
+    pub clock: Clock,
+    /// How long it ran: no step started at or after this time.
+    pub duration: Nanos,
+    /// One track per node, in the order of the graph.
+    pub nodes: Vec<NodeTrack>,
+    /// Messages that were sent and never reached a window, with the reason; in the order in which it was noticed.
+    pub losses: Vec<Loss>,
+    /// Nodes that ended before the run did.
+    pub faults: Vec<Fault>,
+    /// When the file that it was read from lacks its end: where it stops. The recording is then only its beginning.
+    pub truncated: Option<String>,
+}
+
+/// The clock that drove a run.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "clock", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Clock {
+    /// Real time.
+    Wall {
+        /// The run's common start, nanoseconds since 1970-01-01 UTC.
+        start: Nanos,
+        /// The machine's name.
+        host: String,
+        /// The seed of the nodes' random streams.
+        seed: u64,
+    },
+    /// Simulated time. Everything follows from the graph and the seed.
+    Simulated {
+        /// The seed of all random streams.
+        seed: u64,
+    },
+}
+
+impl Clock {
+    /// The seed of the run.
+    pub fn seed(&self) -> u64 {
+        match self {
+            Self::Wall { seed, .. } | Self::Simulated { seed } => *seed,
+        }
+    }
+}
+
+/// What one node did.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NodeTrack {
+    /// The node.
+    pub name: String,
+    /// The layout of its messages.
+    pub layout: Layout,
+    /// The leaves of its initial message.
+    pub initial: Vec<f64>,
+    /// Whether it stands in for hardware: the diagnosis must not read its messages.
+    pub stand_in: bool,
+    /// What it sent, in order.
+    pub messages: Vec<MessageRecord>,
+    /// Its steps, in order.
+    pub steps: Vec<StepRecord>,
+}
+
+impl NodeTrack {
+    /// The message with this number.
+    pub fn message(&self, seq: u64) -> Option<&MessageRecord> {
+        // Step k sends message k, so the place is known unless the recording begins late or has holes.
+        match self.messages.get(usize::try_from(seq).ok()?) {
+            Some(message) if message.seq == seq => Some(message),
+            _ => {
+                let place = self.messages.binary_search_by_key(&seq, |message| message.seq).ok()?;
+                self.messages.get(place)
+            }
+        }
+    }
+}
+
+/// One message as it was sent.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MessageRecord {
+    /// The number of the step that made it.
+    pub seq: u64,
+    /// When it was sent: the end of that step.
+    pub sent: Nanos,
+    /// Its leaves.
+    pub payload: Vec<f64>,
+}
+
+/// One step as it ran.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct StepRecord {
+    /// Its number, from 0.
+    pub seq: u64,
+    /// When it was due, without the shift of earlier overruns: `phase + seq / rate`.
+    pub due: Nanos,
+    /// When it started.
+    pub start: Nanos,
+    /// When it ended and its message was sent.
+    pub end: Nanos,
+    /// What it consumed, one entry per input, in the order in which the kind of node declares them.
+    pub inputs: Vec<InputRecord>,
+}
+
+/// What one input of one step consumed.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct InputRecord {
+    /// The input.
+    pub port: String,
+    /// The window that the step saw, oldest first.
+    pub consumed: Vec<Consumed>,
+    /// How many messages left unseen between the last step and this one.
+    pub superseded: u64,
+}
+
+impl From<&InputWindow> for InputRecord {
+    fn from(window: &InputWindow) -> Self {
+        Self {
+            port: window.port().to_owned(),
+            consumed: window.stamps().to_vec(),
+            superseded: window.superseded(),
+        }
+    }
+}
+
+/// A message that never reached a window.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Loss {
+    /// The sender.
+    pub from: String,
+    /// The receiver.
+    pub to: String,
+    /// The receiver's input.
+    pub port: String,
+    /// The message.
+    pub seq: u64,
+    /// When the receiver noticed.
+    pub time: Nanos,
+    /// Why.
+    pub reason: LossReason,
+}
+
+/// Why a message was lost.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LossReason {
+    /// It was sent and a later one arrived, but it did not.
+    Transport,
+    /// The receiver was so far behind that there was no room left for it.
+    Overflow,
+}
+
+/// A node that ended before the run did.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Fault {
+    /// The node.
+    pub node: String,
+    /// When.
+    pub time: Nanos,
+    /// Why.
+    pub kind: FaultKind,
+}
+
+/// Why a node ended early.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+pub enum FaultKind {
+    /// Its step returned an error.
+    Failed {
+        /// The error.
+        message: String,
+    },
+    /// A node that it waited for was dead, and it was told to stop then.
+    DeadSender {
+        /// The dead node.
+        sender: String,
+    },
+    /// Its process or thread ended.
+    Died {
+        /// How, as the operating system tells it.
+        message: String,
+    },
+}
+
+/// A sink that could not take what it was given.
+#[derive(Debug, thiserror::Error)]
+#[error("the recording cannot be written: {0}")]
+pub struct SinkError(#[source] pub Box<dyn std::error::Error + Send + Sync>);
+
+/// One step, lent to a sink.
+#[derive(Debug, Clone, Copy)]
+pub struct StepView<'a> {
+    /// Its number, from 0.
+    pub seq: u64,
+    /// When it was due.
+    pub due: Nanos,
+    /// When it started.
+    pub start: Nanos,
+    /// When it ended.
+    pub end: Nanos,
+    /// What it saw.
+    pub inputs: &'a [InputWindow],
+}
+
+impl StepView<'_> {
+    /// The step as a record of its own.
+    pub fn to_record(&self) -> StepRecord {
+        StepRecord {
+            seq: self.seq,
+            due: self.due,
+            start: self.start,
+            end: self.end,
+            inputs: self.inputs.iter().map(InputRecord::from).collect(),
+        }
+    }
+}
+
+/// Takes a run as it happens. Nodes are named by their place in the graph.
+pub trait RecordingSink {
+    /// A node sent a message.
+    ///
+    /// # Errors
+    ///
+    /// When it cannot be kept.
+    fn message(&mut self, node: usize, seq: u64, sent: Nanos, payload: &[f64]) -> Result<(), SinkError>;
+
+    /// A node finished a step.
+    ///
+    /// # Errors
+    ///
+    /// When it cannot be kept.
+    fn step(&mut self, node: usize, step: &StepView<'_>) -> Result<(), SinkError>;
+
+    /// A message was lost.
+    ///
+    /// # Errors
+    ///
+    /// When it cannot be kept.
+    fn loss(&mut self, loss: &Loss) -> Result<(), SinkError>;
+
+    /// A node ended early.
+    ///
+    /// # Errors
+    ///
+    /// When it cannot be kept.
+    fn fault(&mut self, fault: &Fault) -> Result<(), SinkError>;
+}
+
+/// Keeps nothing.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct NoSink;
+
+impl RecordingSink for NoSink {
+    fn message(&mut self, _: usize, _: u64, _: Nanos, _: &[f64]) -> Result<(), SinkError> {
+        Ok(())
+    }
+    fn step(&mut self, _: usize, _: &StepView<'_>) -> Result<(), SinkError> {
+        Ok(())
+    }
+    fn loss(&mut self, _: &Loss) -> Result<(), SinkError> {
+        Ok(())
+    }
+    fn fault(&mut self, _: &Fault) -> Result<(), SinkError> {
+        Ok(())
+    }
+}
+
+/// A recording in the making, in memory.
+#[derive(Debug, Clone)]
+pub struct MemorySink {
+    recording: Recording,
+}
+
+impl MemorySink {
+    /// An empty recording of `graph`.
+    pub fn new(graph: &Graph, clock: Clock) -> Self {
+        let nodes = graph
+            .nodes()
+            .iter()
+            .map(|node| NodeTrack {
+                name: node.name.clone(),
+                layout: node.kind.output().clone(),
+                initial: node.kind.initial_message().to_vec(),
+                stand_in: node.kind.is_stand_in(),
+                messages: Vec::new(),
+                steps: Vec::new(),
+            })
+            .collect();
+        Self {
+            recording: Recording {
+                graph: graph.spec().clone(),
+                clock,
+                duration: 0,
+                nodes,
+                losses: Vec::new(),
+                faults: Vec::new(),
+                truncated: None,
+            },
+        }
+    }
+
+    /// The recording of a run that lasted `duration`.
+    pub fn finish(mut self, duration: Nanos) -> Recording {
+        self.recording.duration = duration;
+        self.recording
+    }
+}
+
+impl RecordingSink for MemorySink {
+    fn message(&mut self, node: usize, seq: u64, sent: Nanos, payload: &[f64]) -> Result<(), SinkError> {
+        self.recording.nodes[node].messages.push(MessageRecord { seq, sent, payload: payload.to_vec() });
+        Ok(())
+    }
+
+    fn step(&mut self, node: usize, step: &StepView<'_>) -> Result<(), SinkError> {
+        self.recording.nodes[node].steps.push(step.to_record());
+        Ok(())
+    }
+
+    fn loss(&mut self, loss: &Loss) -> Result<(), SinkError> {
+        self.recording.losses.push(loss.clone());
+        Ok(())
+    }
+
+    fn fault(&mut self, fault: &Fault) -> Result<(), SinkError> {
+        self.recording.faults.push(fault.clone());
+        Ok(())
+    }
+}
+
+impl Recording {
+    /// What the node called `name` did.
+    pub fn node(&self, name: &str) -> Option<&NodeTrack> {
+        self.nodes.iter().find(|track| track.name == name)
+    }
+}

@@ -1,0 +1,473 @@
+//! What a node is to the runtime: a step from typed inputs to one typed output.
+//!
+//! A [`Node`] is written against its own message types; the runtime drives it as an [`ErasedNode`] that reads and
+//! writes plain `f64` leaves. Nothing on the way allocates.
+//!
+//! ```
+//! use parallax_model::tree::Tree;
+//! use parallax_runtime::node::{Message, Node, NodeError, Port, Step};
+//!
+//! #[derive(Tree, Clone, Default)]
+//! struct Angle { angle: f64 }
+//! impl Message for Angle { const NAME: &'static str = "example/Angle"; }
+//!
+//! const CAMERA: Port<Angle> = Port::new("camera");
+//!
+//! /// Averages the angles in its window.
+//! struct Smoother;
+//! impl Node for Smoother {
+//!     type Output = Angle;
+//!     fn step(&mut self, step: &Step<'_>) -> Result<Angle, NodeError> {
+//!         let window = step.window(CAMERA);
+//!         let count = window.len() as f64;
+//!         Ok(Angle { angle: window.map(|received| received.message.angle).sum::<f64>() / count })
+//!     }
+//! }
+//! ```
+
+use std::fmt;
+use std::marker::PhantomData;
+
+use parallax_model::tree::{Tree, leaf_names};
+use rand_chacha::ChaCha8Rng;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use crate::random::{Purpose, fnv1a, stream};
+use crate::time::Nanos;
+
+/// A node's own parameters: a table, as in `graph.toml`.
+pub type Parameters = serde_json::Map<String, serde_json::Value>;
+
+/// The payload of a message: a tree of `f64` leaves with a name.
+///
+/// A leaf called `stamp` (seconds since the run's start) says when the payload was true. Without one, the message
+/// counts as of the time it was sent.
+pub trait Message: Tree<f64> + Clone + Default + Send + 'static {
+    /// Its name, `package/Name`: `pendulum/Angle`. It becomes the name of the recorded schema.
+    const NAME: &'static str;
+}
+
+/// The shape of a message: two ends of a connection must agree on it.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Layout {
+    /// The message's name.
+    pub name: String,
+    /// The names of its leaves, in order.
+    pub leaves: Vec<String>,
+}
+
+impl Layout {
+    /// The layout of `M`.
+    pub fn of<M: Message>() -> Self {
+        Self { name: M::NAME.to_owned(), leaves: leaf_names::<f64, M>() }
+    }
+
+    /// A hash of the name and the leaves, the same on every machine and in every version.
+    pub fn hash(&self) -> u64 {
+        // A newline cannot occur inside a name, so different layouts never give the same text.
+        let mut text = self.name.clone();
+        for leaf in &self.leaves {
+            text.push('\n');
+            text.push_str(leaf);
+        }
+        fnv1a(text.as_bytes())
+    }
+
+    /// Where the leaf `name` lies.
+    pub fn leaf(&self, name: &str) -> Option<usize> {
+        self.leaves.iter().position(|leaf| leaf == name)
+    }
+}
+
+impl fmt::Display for Layout {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} {{ {} }}", self.name, self.leaves.join(", "))
+    }
+}
+
+/// One input of a kind of node, by name, carrying messages `M`. Declare it as a constant.
+pub struct Port<M> {
+    name: &'static str,
+    message: PhantomData<fn() -> M>,
+}
+
+impl<M: Message> Port<M> {
+    /// The input called `name`.
+    pub const fn new(name: &'static str) -> Self {
+        Self { name, message: PhantomData }
+    }
+
+    /// Its name.
+    pub const fn name(self) -> &'static str {
+        self.name
+    }
+}
+
+impl<M> Clone for Port<M> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<M> Copy for Port<M> {}
+
+impl<M> fmt::Debug for Port<M> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Port").field(&self.name).finish()
+    }
+}
+
+/// Which message a step saw, and when it travelled.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Consumed {
+    /// The sender's step that made it; `None` for the initial message, which fills a window before enough have come.
+    pub seq: Option<u64>,
+    /// When the sender sent it; 0 for the initial message.
+    pub sent: Nanos,
+    /// When it arrived at the receiver; 0 for the initial message.
+    pub received: Nanos,
+}
+
+impl Consumed {
+    /// The stamps of an initial message.
+    pub const INITIAL: Self = Self { seq: None, sent: 0, received: 0 };
+}
+
+/// A message in a step's window.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Received<M> {
+    /// The sender's step that made it; `None` for the initial message.
+    pub seq: Option<u64>,
+    /// When it was sent; 0 for the initial message.
+    pub sent: Nanos,
+    /// When it arrived; 0 for the initial message.
+    pub received: Nanos,
+    /// The payload.
+    pub message: M,
+}
+
+/// What one input of one step sees: the last `window` messages, oldest first, as leaves.
+///
+/// It is filled anew for every step and keeps its memory.
+#[derive(Debug, Clone, PartialEq)]
+pub struct InputWindow {
+    port: String,
+    leaves: usize,
+    stamps: Vec<Consumed>,
+    values: Vec<f64>,
+    superseded: u64,
+}
+
+impl InputWindow {
+    /// An empty window for the input `port`, with room for `window` messages of `leaves` leaves.
+    pub fn new(port: impl Into<String>, leaves: usize, window: usize) -> Self {
+        Self {
+            port: port.into(),
+            leaves,
+            stamps: Vec::with_capacity(window),
+            values: Vec::with_capacity(window * leaves),
+            superseded: 0,
+        }
+    }
+
+    /// The input's name.
+    pub fn port(&self) -> &str {
+        &self.port
+    }
+
+    /// The messages, oldest first.
+    pub fn stamps(&self) -> &[Consumed] {
+        &self.stamps
+    }
+
+    /// The leaves of message `index`, oldest first.
+    ///
+    /// # Panics
+    ///
+    /// When there is no such message.
+    #[inline]
+    pub fn payload(&self, index: usize) -> &[f64] {
+        &self.values[index * self.leaves..(index + 1) * self.leaves]
+    }
+
+    /// How many messages left unseen between the last step and this one.
+    pub fn superseded(&self) -> u64 {
+        self.superseded
+    }
+
+    /// Empties the window for the next step.
+    pub fn clear(&mut self, superseded: u64) {
+        self.stamps.clear();
+        self.values.clear();
+        self.superseded = superseded;
+    }
+
+    /// Appends a message, newer than those before.
+    ///
+    /// # Panics
+    ///
+    /// When `payload` has not as many leaves as the input's messages.
+    #[inline]
+    pub fn push(&mut self, stamp: Consumed, payload: &[f64]) {
+        assert_eq!(payload.len(), self.leaves, "input `{}`: wrong number of leaves", self.port);
+        self.stamps.push(stamp);
+        self.values.extend_from_slice(payload);
+    }
+}
+
+/// One step, as a node sees it.
+#[derive(Debug, Clone, Copy)]
+pub struct Step<'a> {
+    /// The step's number, from 0.
+    pub seq: u64,
+    /// When it was due: `phase + seq / rate`.
+    pub due: Nanos,
+    /// When it started.
+    pub start: Nanos,
+    inputs: &'a [InputWindow],
+}
+
+impl<'a> Step<'a> {
+    /// A step with these inputs.
+    pub fn new(seq: u64, due: Nanos, start: Nanos, inputs: &'a [InputWindow]) -> Self {
+        Self { seq, due, start, inputs }
+    }
+
+    /// All inputs, in the order in which the kind of node declares them.
+    pub fn inputs(&self) -> &'a [InputWindow] {
+        self.inputs
+    }
+
+    /// The messages at `port`, oldest first: as many as the connection's window, the missing ones being initial.
+    ///
+    /// # Panics
+    ///
+    /// When the kind of node does not declare this port with this message: a mistake in the node itself.
+    #[inline]
+    pub fn window<M: Message>(&self, port: Port<M>) -> Window<'a, M> {
+        let Some(input) = self.inputs.iter().find(|input| input.port == port.name) else {
+            panic!(
+                "the kind of node does not declare the port `{}`; add it with `NodeKind::input`",
+                port.name
+            )
+        };
+        Window { next: 0, end: input.stamps.len(), input, message: PhantomData }
+    }
+
+    /// The newest message at `port`.
+    ///
+    /// # Panics
+    ///
+    /// When the kind of node does not declare this port with this message: a mistake in the node itself.
+    #[inline]
+    pub fn latest<M: Message>(&self, port: Port<M>) -> Received<M> {
+        match self.window(port).next_back() {
+            Some(received) => received,
+            // Executors never hand out an empty window; one made by hand reads as the initial message.
+            None => Received { seq: None, sent: 0, received: 0, message: M::default() },
+        }
+    }
+}
+
+/// The messages of one input in one step, oldest first.
+#[derive(Debug, Clone)]
+pub struct Window<'a, M> {
+    input: &'a InputWindow,
+    next: usize,
+    end: usize,
+    message: PhantomData<fn() -> M>,
+}
+
+impl<M: Message> Window<'_, M> {
+    #[inline]
+    fn get(&self, index: usize) -> Received<M> {
+        let Consumed { seq, sent, received } = self.input.stamps[index];
+        Received { seq, sent, received, message: M::read_from(self.input.payload(index)) }
+    }
+}
+
+impl<M: Message> Iterator for Window<'_, M> {
+    type Item = Received<M>;
+
+    #[inline]
+    fn next(&mut self) -> Option<Received<M>> {
+        if self.next == self.end {
+            return None;
+        }
+        self.next += 1;
+        Some(self.get(self.next - 1))
+    }
+
+    fn size_hint(&self) -> (usize, Option<usize>) {
+        (self.end - self.next, Some(self.end - self.next))
+    }
+}
+
+impl<M: Message> DoubleEndedIterator for Window<'_, M> {
+    #[inline]
+    fn next_back(&mut self) -> Option<Received<M>> {
+        if self.next == self.end {
+            return None;
+        }
+        self.end -= 1;
+        Some(self.get(self.end))
+    }
+}
+
+impl<M: Message> ExactSizeIterator for Window<'_, M> {}
+
+/// Why a node could not be built or a step could not be made.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum NodeError {
+    /// The parameters in the graph are not what the kind of node understands.
+    #[error("parameters of node `{node}`: {problem}; change them in the graph")]
+    Parameters {
+        /// The node.
+        node: String,
+        /// What is wrong.
+        problem: String,
+    },
+    /// The node gave up.
+    #[error("{0}")]
+    Failed(String),
+}
+
+impl NodeError {
+    /// The node gave up, for the reason in `message`.
+    pub fn failed(message: impl Into<String>) -> Self {
+        Self::Failed(message.into())
+    }
+}
+
+/// A node: a state, and a step that runs at a rate.
+///
+/// `step` runs on the real-time path: it must not allocate, lock or wait.
+pub trait Node: Send {
+    /// What every step sends.
+    type Output: Message;
+
+    /// Makes one step.
+    ///
+    /// # Errors
+    ///
+    /// A node that cannot go on says why; it takes no further steps, and its receivers react as to a dead sender.
+    fn step(&mut self, step: &Step<'_>) -> Result<Self::Output, NodeError>;
+}
+
+/// A node whose output is written as leaves: what executors drive. Every [`Node`] is one.
+pub trait ErasedNode: Send {
+    /// Makes one step and writes the output's leaves, in the order of its layout.
+    ///
+    /// # Errors
+    ///
+    /// As [`Node::step`].
+    fn step_into(&mut self, step: &Step<'_>, output: &mut [f64]) -> Result<(), NodeError>;
+}
+
+impl<N: Node> ErasedNode for N {
+    #[inline]
+    fn step_into(&mut self, step: &Step<'_>, output: &mut [f64]) -> Result<(), NodeError> {
+        self.step(step)?.write_to(output);
+        Ok(())
+    }
+}
+
+/// What a kind of node is told when a node is built.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NodeContext {
+    /// The node's name in the graph.
+    pub name: String,
+    /// Its rate, Hz.
+    pub rate: f64,
+    /// The seed of the run. For random numbers use [`random`](Self::random), which is the node's own stream.
+    pub seed: u64,
+    /// Its parameters in the graph.
+    pub parameters: Parameters,
+}
+
+impl NodeContext {
+    /// The parameters as a type; give fields `#[serde(default)]` to make them optional and the struct
+    /// `#[serde(deny_unknown_fields)]` to catch misspelt ones.
+    ///
+    /// # Errors
+    ///
+    /// [`NodeError::Parameters`] when they do not fit.
+    pub fn parameters<P: DeserializeOwned>(&self) -> Result<P, NodeError> {
+        serde_json::from_value(serde_json::Value::Object(self.parameters.clone()))
+            .map_err(|error| self.parameter_error(error.to_string()))
+    }
+
+    /// An error about the parameters.
+    pub fn parameter_error(&self, problem: impl Into<String>) -> NodeError {
+        NodeError::Parameters { node: self.name.clone(), problem: problem.into() }
+    }
+
+    /// The node's own stream of random numbers: the same for one seed and name, whatever other nodes draw.
+    pub fn random(&self) -> ChaCha8Rng {
+        stream(self.seed, Purpose::Node, &self.name)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Tree, Clone, Default, Debug, PartialEq)]
+    struct Pair {
+        left: f64,
+        right: f64,
+    }
+    impl Message for Pair {
+        const NAME: &'static str = "test/Pair";
+    }
+    const IN: Port<Pair> = Port::new("in");
+
+    struct Swap;
+    impl Node for Swap {
+        type Output = Pair;
+        fn step(&mut self, step: &Step<'_>) -> Result<Pair, NodeError> {
+            let Pair { left, right } = step.latest(IN).message;
+            Ok(Pair { left: right, right: left })
+        }
+    }
+
+    #[test]
+    fn an_erased_node_reads_and_writes_leaves() {
+        let mut input = InputWindow::new("in", 2, 2);
+        input.clear(0);
+        input.push(Consumed::INITIAL, &[0.0, 0.0]);
+        input.push(Consumed { seq: Some(4), sent: 1, received: 2 }, &[1.0, 2.0]);
+        let inputs = [input];
+        let step = Step::new(0, 3, 3, &inputs);
+        let mut output = [0.0; 2];
+        let node: &mut dyn ErasedNode = &mut Swap;
+        node.step_into(&step, &mut output).unwrap();
+        assert_eq!(output, [2.0, 1.0]);
+        let seqs: Vec<_> = step.window(IN).map(|received| received.seq).collect();
+        assert_eq!(seqs, [None, Some(4)]);
+    }
+
+    #[test]
+    fn layouts_differ_by_name_leaf_and_order() {
+        let layout = |name: &str, leaves: &[&str]| Layout {
+            name: name.into(),
+            leaves: leaves.iter().map(|leaf| (*leaf).into()).collect(),
+        };
+        let hash = layout("a", &["x", "y"]).hash();
+        assert_ne!(hash, layout("a", &["y", "x"]).hash());
+        assert_ne!(hash, layout("b", &["x", "y"]).hash());
+        assert_ne!(hash, layout("a", &["xy"]).hash());
+        assert_eq!(Layout::of::<Pair>(), layout("test/Pair", &["left", "right"]));
+        // The hash is compared between programs: it must not change from build to build.
+        assert_eq!(Layout::of::<Pair>().hash(), fnv1a(b"test/Pair\nleft\nright"));
+    }
+
+    #[test]
+    #[should_panic(expected = "does not declare the port `other`")]
+    fn an_undeclared_port_is_a_mistake_of_the_node() {
+        Step::new(0, 0, 0, &[]).latest(Port::<Pair>::new("other"));
+    }
+}

@@ -1,0 +1,221 @@
+//! The kinds of node that a program knows, by name.
+//!
+//! A graph names kinds, so that it can be written in a file and attached to a recording; the registry turns the names
+//! into running nodes.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::Arc;
+
+use parallax_model::tree::Tree;
+
+use crate::node::{ErasedNode, Layout, Message, Node, NodeContext, NodeError, Port};
+
+/// An input that a kind of node declares.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct InputPort {
+    /// Its name.
+    pub name: String,
+    /// The messages it takes.
+    pub layout: Layout,
+}
+
+/// Builds a node from its context.
+pub type Build = dyn Fn(&NodeContext) -> Result<Box<dyn ErasedNode>, NodeError> + Send + Sync;
+
+/// A kind of node: its inputs, its output, and how to build one.
+///
+/// ```
+/// # use parallax_model::tree::Tree;
+/// # use parallax_runtime::node::{Message, Node, NodeError, Port, Step};
+/// # use parallax_runtime::registry::{NodeKind, Registry};
+/// # #[derive(Tree, Clone, Default)] struct Angle { angle: f64 }
+/// # impl Message for Angle { const NAME: &'static str = "example/Angle"; }
+/// # const CAMERA: Port<Angle> = Port::new("camera");
+/// # struct Hold { gain: f64 }
+/// # impl Node for Hold {
+/// #     type Output = Angle;
+/// #     fn step(&mut self, step: &Step<'_>) -> Result<Angle, NodeError> {
+/// #         Ok(Angle { angle: self.gain * step.latest(CAMERA).message.angle })
+/// #     }
+/// # }
+/// #[derive(serde::Deserialize)]
+/// #[serde(deny_unknown_fields)]
+/// struct Parameters { gain: f64 }
+///
+/// let hold = NodeKind::new(|context| {
+///     let Parameters { gain } = context.parameters()?;
+///     Ok(Hold { gain })
+/// })
+/// .input(CAMERA);
+/// let registry = Registry::new().with("example/hold", hold);
+/// assert!(registry.get("example/hold").is_some());
+/// ```
+#[derive(Clone)]
+pub struct NodeKind {
+    inputs: Vec<InputPort>,
+    output: Layout,
+    initial: Vec<f64>,
+    deterministic: bool,
+    stand_in: bool,
+    build: Arc<Build>,
+}
+
+impl NodeKind {
+    /// A kind whose nodes are built by `build`. It has no inputs yet, is deterministic, and its initial message is the
+    /// output's default.
+    pub fn new<N: Node + 'static>(
+        build: impl Fn(&NodeContext) -> Result<N, NodeError> + Send + Sync + 'static,
+    ) -> Self {
+        Self::erased(Layout::of::<N::Output>(), N::Output::default().to_vec(), move |context| {
+            Ok(Box::new(build(context)?))
+        })
+    }
+
+    /// A kind known only by its layouts, such as one that calls another language. `initial` holds one value a leaf.
+    ///
+    /// # Panics
+    ///
+    /// When `initial` does not fit `output`.
+    pub fn erased(
+        output: Layout,
+        initial: Vec<f64>,
+        build: impl Fn(&NodeContext) -> Result<Box<dyn ErasedNode>, NodeError> + Send + Sync + 'static,
+    ) -> Self {
+        assert_eq!(output.leaves.len(), initial.len(), "the initial message of {output} has another length");
+        Self {
+            inputs: Vec::new(),
+            output,
+            initial,
+            deterministic: true,
+            stand_in: false,
+            build: Arc::new(build),
+        }
+    }
+
+    /// Declares an input.
+    #[must_use]
+    pub fn input<M: Message>(self, port: Port<M>) -> Self {
+        self.input_with_layout(port.name(), Layout::of::<M>())
+    }
+
+    /// Declares an input by its layout.
+    #[must_use]
+    pub fn input_with_layout(mut self, name: impl Into<String>, layout: Layout) -> Self {
+        self.inputs.push(InputPort { name: name.into(), layout });
+        self
+    }
+
+    /// What receivers see before the first message has come.
+    ///
+    /// # Panics
+    ///
+    /// When `M` is not the kind's output.
+    #[must_use]
+    pub fn initial<M: Message>(mut self, message: &M) -> Self {
+        assert_eq!(self.output, Layout::of::<M>(), "the initial message must be of the kind's output");
+        self.initial = message.to_vec();
+        self
+    }
+
+    /// Marks the kind as one whose outputs do not follow from its inputs and seed alone: a driver of hardware, or a
+    /// node that reads the clock. Replay compares it without expecting the same bits.
+    #[must_use]
+    pub fn not_deterministic(mut self) -> Self {
+        self.deterministic = false;
+        self
+    }
+
+    /// Marks the kind as standing in for hardware. Its messages are recorded for replay; the diagnosis never reads
+    /// them, as it could not on a machine.
+    #[must_use]
+    pub fn stand_in(mut self) -> Self {
+        self.stand_in = true;
+        self
+    }
+
+    /// The inputs, in the order in which steps see them.
+    pub fn inputs(&self) -> &[InputPort] {
+        &self.inputs
+    }
+
+    /// The layout of the output.
+    pub fn output(&self) -> &Layout {
+        &self.output
+    }
+
+    /// The leaves of the initial message.
+    pub fn initial_message(&self) -> &[f64] {
+        &self.initial
+    }
+
+    /// Whether equal inputs and an equal seed give equal outputs, bit for bit.
+    pub fn is_deterministic(&self) -> bool {
+        self.deterministic
+    }
+
+    /// Whether it stands in for hardware.
+    pub fn is_stand_in(&self) -> bool {
+        self.stand_in
+    }
+
+    /// Builds a node.
+    ///
+    /// # Errors
+    ///
+    /// What the kind says about its parameters.
+    pub fn build(&self, context: &NodeContext) -> Result<Box<dyn ErasedNode>, NodeError> {
+        (self.build)(context)
+    }
+}
+
+impl fmt::Debug for NodeKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("NodeKind")
+            .field("inputs", &self.inputs)
+            .field("output", &self.output)
+            .field("deterministic", &self.deterministic)
+            .field("stand_in", &self.stand_in)
+            .finish_non_exhaustive()
+    }
+}
+
+/// The kinds of node that a program knows.
+#[derive(Debug, Clone, Default)]
+pub struct Registry {
+    kinds: BTreeMap<String, NodeKind>,
+}
+
+impl Registry {
+    /// A registry that knows nothing.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// The registry with one kind more. A kind of the same name is replaced, so that a program may bring its own.
+    #[must_use]
+    pub fn with(mut self, name: impl Into<String>, kind: NodeKind) -> Self {
+        self.insert(name, kind);
+        self
+    }
+
+    /// Adds a kind and returns the one that had this name before.
+    pub fn insert(&mut self, name: impl Into<String>, kind: NodeKind) -> Option<NodeKind> {
+        self.kinds.insert(name.into(), kind)
+    }
+
+    /// Adds everything that `other` knows.
+    pub fn extend(&mut self, other: Registry) {
+        self.kinds.extend(other.kinds);
+    }
+
+    /// The kind called `name`.
+    pub fn get(&self, name: &str) -> Option<&NodeKind> {
+        self.kinds.get(name)
+    }
+
+    /// The names of all kinds, sorted.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.kinds.keys().map(String::as_str)
+    }
+}
