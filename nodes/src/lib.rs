@@ -1,1 +1,5 @@
-//! See the crate's description.
+//! Ready-made models and nodes.
+//!
+//! [`models`] holds the mathematics of robots: pure functions generic over the scalar.
+
+pub mod models;

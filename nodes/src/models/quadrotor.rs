@@ -1,0 +1,199 @@
+//! A small quadrotor under its on-board attitude control: the Crazyflie 2.0.
+//!
+//! After the paper's appendix D, with constants identified by J. Förster, *System Identification of the Crazyflie 2.0
+//! Nano Quadrocopter* (ETH Zürich, 2015). How the printed equations are read:
+//!
+//! - The body-frame velocity is `v_b = Rᵀ v`; the second transpose, printed on `v`, is a misprint.
+//! - `ω` in the drag is the sum of the four rotors' speeds, as its own formula with the factor 4 says; the thrust's
+//!   factor 4 likewise makes `a_p`, `b_p` and `c_p` constants of one rotor.
+//! - The effective PWM is not given but defined by the thrust; it is the upper root of that quadratic. Below the
+//!   quadratic's lowest point, which only a thrust pointing down reaches, the root is taken as zero.
+//!
+//! Yaw keeps its value: its dynamics are neglected.
+
+use parallax_model::integrate::rk4;
+use parallax_model::{Model, Scalar, Tree};
+
+/// Gravitational acceleration, m/s².
+pub const GRAVITY: f64 = 9.81;
+/// The paper's integration step, s.
+pub const STEP: f64 = 0.01;
+
+/// A vector in the world's frame, z up.
+#[derive(Tree, Clone, Copy, Debug, PartialEq)]
+pub struct Vector<T> {
+    /// East or forward.
+    pub x: T,
+    /// North or left.
+    pub y: T,
+    /// Up.
+    pub z: T,
+}
+
+/// Roll, pitch and yaw, rad: the attitude is `R_z(yaw) R_y(pitch) R_x(roll)`.
+#[derive(Tree, Clone, Copy, Debug, PartialEq)]
+pub struct Attitude<T> {
+    /// φ, about the body's x axis.
+    pub roll: T,
+    /// θ, about the body's y axis.
+    pub pitch: T,
+    /// ψ, about the body's z axis.
+    pub yaw: T,
+}
+
+/// Constants of a quadrotor. Thrusts are in N, PWM signals in counts from 0 to 65535.
+#[derive(Tree, Clone, Copy, Debug, PartialEq)]
+pub struct Params<T> {
+    /// Mass m, kg.
+    pub mass: T,
+    /// Gain k_c of the attitude control.
+    pub attitude_gain: T,
+    /// Time constant τ_c of the attitude control, s.
+    pub attitude_time: T,
+    /// Horizontal drag κ_xy, N s²/(m rad).
+    pub drag_xy: T,
+    /// Vertical drag κ_z, N s²/(m rad).
+    pub drag_z: T,
+    /// Rate a_m of the thrust state, 1/s.
+    pub motor_rate: T,
+    /// Gain b_m from PWM to the thrust state, 1/s.
+    pub motor_gain: T,
+    /// Thrust c_m for each unit of the thrust state, N.
+    pub thrust_state: T,
+    /// Thrust d_m for each count of PWM, N.
+    pub thrust_direct: T,
+    /// Thrust of one rotor over effective PWM, quadratic part a_p, N.
+    pub pwm_quadratic: T,
+    /// Linear part b_p, N.
+    pub pwm_linear: T,
+    /// Constant part c_p, N.
+    pub pwm_constant: T,
+    /// Speed of one rotor over effective PWM, linear part a_r, rad/s.
+    pub rotor_linear: T,
+    /// Constant part b_r, rad/s.
+    pub rotor_constant: T,
+}
+
+impl Default for Params<f64> {
+    /// Förster's motor, PWM and rotor constants (appendix D) and drag; the mass is that of a bare Crazyflie with markers.
+    fn default() -> Self {
+        Self {
+            mass: 0.03,
+            attitude_gain: 1.0,
+            attitude_time: 0.15,
+            drag_xy: 9.18e-7,
+            drag_z: 1.03e-6,
+            motor_rate: -15.47,
+            motor_gain: 1.0,
+            thrust_state: 1.43e-4,
+            thrust_direct: 2.89e-7,
+            pwm_quadratic: 2.13e-11,
+            pwm_linear: 1.03e-6,
+            pwm_constant: 5.49e-4,
+            rotor_linear: 0.041,
+            rotor_constant: 380.83,
+        }
+    }
+}
+
+/// Where the quadrotor is.
+#[derive(Tree, Clone, Copy, Debug, PartialEq)]
+pub struct State<T> {
+    /// Position p in the world's frame, m.
+    pub position: Vector<T>,
+    /// Velocity v in the world's frame, m/s.
+    pub velocity: Vector<T>,
+    /// Attitude η.
+    pub attitude: Attitude<T>,
+    /// Thrust state Ω, counts s.
+    pub thrust: T,
+}
+
+/// What is commanded.
+#[derive(Tree, Clone, Copy, Debug, PartialEq)]
+pub struct Input<T> {
+    /// Motor signal Θ of all rotors, counts.
+    pub pwm: T,
+    /// Reference of the roll angle, rad.
+    pub roll: T,
+    /// Reference of the pitch angle, rad.
+    pub pitch: T,
+}
+
+/// What motion capture measures.
+#[derive(Tree, Clone, Copy, Debug, PartialEq)]
+pub struct Output<T> {
+    /// Position, m.
+    pub position: Vector<T>,
+    /// Attitude.
+    pub attitude: Attitude<T>,
+}
+
+/// Total thrust of the four rotors along the body's z axis, N: `c_m Ω + d_m Θ`.
+pub fn thrust<T: Scalar>(p: &Params<T>, x: &State<T>, u: &Input<T>) -> T {
+    p.thrust_state * x.thrust + p.thrust_direct * u.pwm
+}
+
+/// The motor signal at which four rotors give this thrust at rest, counts: the upper root of
+/// `f = 4 (a_p Θ² + b_p Θ + c_p)`.
+pub fn effective_pwm<T: Scalar>(p: &Params<T>, thrust: T) -> T {
+    let discriminant = p.pwm_linear * p.pwm_linear - p.pwm_quadratic * (p.pwm_constant - thrust * 0.25) * 4.0;
+    (discriminant.max(T::constant(0.0)).sqrt() - p.pwm_linear) / (p.pwm_quadratic * 2.0)
+}
+
+/// The sum of the four rotors' speeds, rad/s: `4 (a_r Θ_eff + b_r)`.
+pub fn rotor_speed<T: Scalar>(p: &Params<T>, thrust: T) -> T {
+    (p.rotor_linear * effective_pwm(p, thrust) + p.rotor_constant) * 4.0
+}
+
+/// The rows of the rotation from the body's to the world's frame.
+pub fn rotation<T: Scalar>(a: &Attitude<T>) -> [[T; 3]; 3] {
+    let (sr, cr) = (a.roll.sin(), a.roll.cos());
+    let (sp, cp) = (a.pitch.sin(), a.pitch.cos());
+    let (sy, cy) = (a.yaw.sin(), a.yaw.cos());
+    [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+}
+
+/// The time derivative of the state.
+pub fn derivative<T: Scalar>(p: &Params<T>, x: &State<T>, u: &Input<T>) -> State<T> {
+    let thrust = thrust(p, x, u);
+    let speed = rotor_speed(p, thrust);
+    let r = rotation(&x.attitude);
+    let v = [x.velocity.x, x.velocity.y, x.velocity.z];
+    let body = |axis: usize| r[0][axis] * v[0] + r[1][axis] * v[1] + r[2][axis] * v[2];
+    let force =
+        [-p.drag_xy * speed * body(0), -p.drag_xy * speed * body(1), thrust - p.drag_z * speed * body(2)];
+    let acceleration = |row: [T; 3]| (row[0] * force[0] + row[1] * force[1] + row[2] * force[2]) / p.mass;
+    let attitude_rate = p.attitude_gain / p.attitude_time;
+    State {
+        position: x.velocity,
+        velocity: Vector { x: acceleration(r[0]), y: acceleration(r[1]), z: acceleration(r[2]) - GRAVITY },
+        attitude: Attitude {
+            roll: (u.roll - x.attitude.roll) * attitude_rate,
+            pitch: (u.pitch - x.attitude.pitch) * attitude_rate,
+            yaw: T::constant(0.0),
+        },
+        thrust: p.motor_rate * x.thrust + p.motor_gain * u.pwm,
+    }
+}
+
+/// The quadrotor as a [`Model`].
+#[derive(Clone, Copy, Debug)]
+pub struct Quadrotor;
+
+impl Model for Quadrotor {
+    const NAME: &'static str = "quadrotor";
+    type Params<T: Scalar> = Params<T>;
+    type State<T: Scalar> = State<T>;
+    type Input<T: Scalar> = Input<T>;
+    type Output<T: Scalar> = Output<T>;
+
+    fn step<T: Scalar>(p: &Params<T>, x: State<T>, u: Input<T>, dt: T) -> (State<T>, Output<T>) {
+        let x = rk4(|x: &State<T>| derivative(p, x, &u), x, dt);
+        (x, Output { position: x.position, attitude: x.attitude })
+    }
+}
