@@ -8,4 +8,5 @@ pub mod node;
 pub mod random;
 pub mod recording;
 pub mod registry;
+pub mod schedule;
 pub mod time;
