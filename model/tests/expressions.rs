@@ -1,5 +1,7 @@
 //! Expressions mean what mathematics means by them.
 
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
 use parallax_model::system::{Expression, Point, System};
 use proptest::prelude::*;
 

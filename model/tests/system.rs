@@ -1,5 +1,7 @@
 //! A `system.toml` from its text to numbers.
 
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
 use std::path::Path;
 
 use parallax_model::program::Workspace;

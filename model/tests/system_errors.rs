@@ -1,5 +1,7 @@
 //! Each way to get a `system.toml` wrong has a message with file, line, place and remedy.
 
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
 use parallax_model::system::System;
 
 /// A system with one thing replaced.

@@ -138,10 +138,9 @@ impl Equations {
         let mut derivatives: Vec<T> =
             self.derivatives.iter().map(|d| d.evaluate(point, &lets, None)).collect();
         for &(joint, force) in forces {
-            if let Entry::Derivative(state) = self.entry(joint) {
-                if let Some(inertia) = &self.joints[joint].inertia {
-                    derivatives[state] += force / inertia.evaluate(point, &lets, None);
-                }
+            let entry = (self.entry(joint), &self.joints[joint].inertia);
+            if let (Entry::Derivative(state), Some(inertia)) = entry {
+                derivatives[state] += force / inertia.evaluate(point, &lets, None);
             }
         }
         let outputs = self.outputs.iter().map(|output| output.evaluate(point, &lets, None)).collect();

@@ -56,7 +56,7 @@ pub(super) fn tokens(text: &str) -> Result<Vec<Placed>, Misspelt> {
         }
         let misspelt = |problem: &str| Misspelt { problem: problem.into(), position };
         let (token, bytes) = if first.is_ascii_digit() || first == '.' {
-            number(rest).map_err(|problem| misspelt(problem))?
+            number(rest).map_err(misspelt)?
         } else if is_name_start(first) {
             let bytes = rest.find(|c| !is_name_part(c)).unwrap_or(rest.len());
             (Token::Name(rest[..bytes].into()), bytes)
