@@ -68,7 +68,7 @@ pub fn folder(path: &Path) -> Result<Log, ImportError> {
     }
     let signals = manifest.signals.iter().filter_map(|entry| signals.remove(entry.name.as_str())).collect();
     let title = if manifest.title.is_empty() { path.display().to_string() } else { manifest.title };
-    Ok(Log { title, license: manifest.license, constants: manifest.constants, signals })
+    Ok(Log { title, license: manifest.license, constants: manifest.constants, signals, notes: Vec::new() })
 }
 
 /// Reads the `system.toml` at `path`, or in the folder at `path`.

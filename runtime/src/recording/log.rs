@@ -99,6 +99,12 @@ impl Signal {
         Some((*self.times.first()?, *self.times.last()?))
     }
 
+    /// Mean rate in Hz; `None` with fewer than two samples.
+    pub fn rate(&self) -> Option<f64> {
+        let (first, last) = self.span()?;
+        (last > first).then(|| (self.times.len() - 1) as f64 / (last as f64 - first as f64) * 1e9)
+    }
+
     /// Index of the last sample stamped at or before `time` (nanoseconds); `None` before the first.
     pub fn index_at(&self, time: i64) -> Option<usize> {
         self.times.partition_point(|stamp| *stamp <= time).checked_sub(1)
@@ -121,6 +127,8 @@ pub struct Log {
     pub constants: Vec<(String, f64)>,
     /// In the order of the file.
     pub signals: Vec<Signal>,
+    /// What a reader of the log should know, such as samples that were left out.
+    pub notes: Vec<String>,
 }
 
 /// A signal that is not there.
@@ -196,6 +204,7 @@ mod tests {
     fn the_span_covers_all_signals() {
         assert_eq!(log().span(), Some((-5, 40)));
         assert_eq!(Log::default().span(), None);
+        assert_eq!(log().signals[1].rate(), Some(5e7));
     }
 
     #[test]
