@@ -1,0 +1,519 @@
+//! Writes a recording while it happens.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use mcap::records::MessageHeader;
+use mcap::{Attachment, WriteOptions};
+use serde::{Deserialize, Serialize};
+
+use super::cdr::CdrWriter;
+use super::error::RecordingError;
+use super::ros2msg::{self, Schema};
+use super::{
+    Clock, Consumed, Fault, Loss, MessageRecord, NodeTrack, Recording, RecordingSink, SinkError, StepRecord,
+    StepView,
+};
+use crate::graph::{Graph, GraphSpec};
+use crate::node::Layout;
+use crate::time::Nanos;
+
+/// Name of the attachment that says what is in the file.
+pub(super) const DESCRIPTION: &str = "graph.json";
+/// Version of what this writer writes; a reader refuses larger ones.
+pub(super) const FORMAT: u32 = 1;
+/// Keys of a channel's metadata.
+pub(super) const NODE: &str = "parallax.node";
+pub(super) const CONTENT: &str = "parallax.content";
+/// The record that a finished recording ends with, and what it says.
+pub(super) const END: &str = "parallax.end";
+pub(super) const DURATION: &str = "duration_ns";
+const LEAVES: &str = "parallax.leaves";
+
+/// A chunk is closed when it holds this much, or this span of time: what a killed recorder loses at most.
+const CHUNK_BYTES: u64 = 256 * 1024;
+const CHUNK_SPAN: u64 = 1_000_000_000;
+
+/// What is in a recording besides its messages and steps: the attachment `graph.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Description {
+    /// The graph that ran.
+    pub graph: GraphSpec,
+    /// The clock that it ran under.
+    pub clock: Clock,
+    /// The nodes whose messages and steps are recorded, in order.
+    pub nodes: Vec<NodeDescription>,
+}
+
+/// A node of a recording.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NodeDescription {
+    /// Its name.
+    pub name: String,
+    /// Layout of its output messages.
+    pub layout: Layout,
+    /// The leaves of its initial message.
+    #[serde(with = "any_number")]
+    pub initial: Vec<f64>,
+    /// Whether it stands in for hardware.
+    pub stand_in: bool,
+}
+
+impl Description {
+    /// What a run of `graph` under `clock` records.
+    pub fn new(graph: &Graph, clock: Clock) -> Self {
+        let nodes = graph.nodes().iter().map(|node| NodeDescription {
+            name: node.name.clone(),
+            layout: node.kind.output().clone(),
+            initial: node.kind.initial_message().to_vec(),
+            stand_in: node.kind.is_stand_in(),
+        });
+        Self { graph: graph.spec().clone(), clock, nodes: nodes.collect() }
+    }
+}
+
+/// Numbers as JSON, which knows no NaN and no infinities: these become texts.
+mod any_number {
+    use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
+
+    #[derive(Serialize, Deserialize)]
+    #[serde(untagged)]
+    enum Number {
+        Finite(f64),
+        Other(String),
+    }
+
+    pub(super) fn serialize<S: Serializer>(values: &[f64], serializer: S) -> Result<S::Ok, S::Error> {
+        let number = |value: &f64| {
+            if value.is_finite() { Number::Finite(*value) } else { Number::Other(value.to_string()) }
+        };
+        serializer.collect_seq(values.iter().map(number))
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<f64>, D::Error> {
+        let number = |number| match number {
+            Number::Finite(value) => Ok(value),
+            Number::Other(text) => text.parse().map_err(D::Error::custom),
+        };
+        Vec::<Number>::deserialize(deserializer)?.into_iter().map(number).collect()
+    }
+}
+
+/// The attachment as it stands in the file.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct DescriptionFile {
+    pub(super) format: u32,
+    /// Versions of the programs that wrote the file.
+    pub(super) versions: BTreeMap<String, String>,
+    /// Time of the recording that the file's time 0 stands for: MCAP times cannot be negative.
+    pub(super) origin: Nanos,
+    #[serde(flatten)]
+    pub(super) description: Description,
+}
+
+/// Writes a recording, message by message and step by step.
+///
+/// The same calls give the same bytes: neither host nor date is written, except inside a wall clock that the
+/// caller describes.
+pub struct RecordingWriter {
+    path: PathBuf,
+    mcap: mcap::Writer<BufWriter<File>>,
+    cdr: CdrWriter,
+    tracks: Vec<TrackChannels>,
+    losses: u16,
+    faults: u16,
+    notes: u32,
+    origin: Nanos,
+    /// Log time of the first message of the open chunk.
+    chunk_start: Option<u64>,
+}
+
+/// Where one node's records go.
+struct TrackChannels {
+    name: String,
+    leaves: usize,
+    messages: u16,
+    steps: u16,
+}
+
+/// What a channel holds, as its metadata say.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Content {
+    Messages,
+    Steps,
+    Losses,
+    Faults,
+}
+
+impl Content {
+    pub(super) const ALL: [Content; 4] =
+        [Content::Messages, Content::Steps, Content::Losses, Content::Faults];
+
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Content::Messages => "messages",
+            Content::Steps => "steps",
+            Content::Losses => "losses",
+            Content::Faults => "faults",
+        }
+    }
+}
+
+impl RecordingWriter {
+    /// Begins a recording; a file at this path is replaced.
+    ///
+    /// # Errors
+    ///
+    /// [`RecordingError::Io`] when the file cannot be made.
+    pub fn create(path: &Path, description: &Description) -> Result<Self, RecordingError> {
+        Self::with_origin(path, description, 0)
+    }
+
+    fn with_origin(path: &Path, description: &Description, origin: Nanos) -> Result<Self, RecordingError> {
+        let io = |source| RecordingError::Io { path: path.into(), what: "create the file", source };
+        let fail = |source| RecordingError::Write { path: path.into(), source };
+        let file = BufWriter::with_capacity(CHUNK_BYTES as usize, File::create(path).map_err(io)?);
+        let mut mcap = WriteOptions::new()
+            .compression(None)
+            .profile("ros2")
+            .library(concat!("parallax ", env!("CARGO_PKG_VERSION")))
+            .chunk_size(Some(CHUNK_BYTES))
+            // A chunk goes to the file in one piece when it is complete.
+            .disable_seeking(true)
+            .create(file)
+            .map_err(fail)?;
+        let file = DescriptionFile {
+            format: FORMAT,
+            versions: BTreeMap::from([("parallax".into(), env!("CARGO_PKG_VERSION").into())]),
+            origin,
+            description: description.clone(),
+        };
+        let data = serde_json::to_vec_pretty(&file).map_err(|e| io(e.into()))?;
+        mcap.attach(&Attachment {
+            log_time: 0,
+            create_time: 0,
+            name: DESCRIPTION.into(),
+            media_type: "application/json".into(),
+            data: data.into(),
+        })
+        .map_err(fail)?;
+
+        let mut channels = Channels { mcap: &mut mcap, types: BTreeMap::new() };
+        let mut tracks = Vec::with_capacity(description.nodes.len());
+        for NodeDescription { name, layout, .. } in &description.nodes {
+            let schema = channels.named_apart(ros2msg::message(&layout.name, &layout.leaves));
+            let leaves = serde_json::to_string(&layout.leaves).map_err(|e| io(e.into()))?;
+            let about = [(NODE, name.as_str()), (LEAVES, &leaves)];
+            let messages =
+                channels.add(&format!("/{name}"), &schema, Content::Messages, &about).map_err(fail)?;
+            let about = [(NODE, name.as_str())];
+            let steps = channels
+                .add(&format!("/{name}/steps"), &ros2msg::step(), Content::Steps, &about)
+                .map_err(fail)?;
+            tracks.push(TrackChannels { name: name.clone(), leaves: layout.leaves.len(), messages, steps });
+        }
+        let note = ros2msg::note();
+        let losses = channels.add("/parallax/losses", &note, Content::Losses, &[]).map_err(fail)?;
+        let faults = channels.add("/parallax/faults", &note, Content::Faults, &[]).map_err(fail)?;
+        // The channels get a chunk of their own at the front: damage further on then leaves the rest readable.
+        mcap.flush().map_err(fail)?;
+        let cdr = CdrWriter::default();
+        Ok(Self { path: path.into(), mcap, cdr, tracks, losses, faults, notes: 0, origin, chunk_start: None })
+    }
+
+    /// Writes a message of the node with this index in the description.
+    ///
+    /// # Errors
+    ///
+    /// [`RecordingError::Unwritable`] for a payload of another length than the layout, a sequence number
+    /// beyond 32 bits or a time before the recording's origin; [`RecordingError::Write`].
+    pub fn message(
+        &mut self,
+        node: usize,
+        seq: u64,
+        sent: Nanos,
+        payload: &[f64],
+    ) -> Result<(), RecordingError> {
+        let (channel, leaves) = (self.tracks[node].messages, self.tracks[node].leaves);
+        let refuse = |reason: String| RecordingError::Unwritable {
+            path: self.path.clone(),
+            node: self.tracks[node].name.clone(),
+            what: format!("message {seq}"),
+            reason,
+        };
+        if payload.len() != leaves {
+            return Err(refuse(format!("it has {} values and the layout {leaves} leaves", payload.len())));
+        }
+        let sequence = u32::try_from(seq).map_err(|_| refuse("MCAP counts to 2^32 only".into()))?;
+        let time =
+            self.time(sent).ok_or_else(|| refuse(format!("it was sent at {sent} ns, before the start")))?;
+        self.cdr.begin();
+        payload.iter().for_each(|value| self.cdr.f64(*value));
+        if payload.is_empty() {
+            self.cdr.flag(false);
+        }
+        self.put(channel, sequence, time)
+    }
+
+    /// Writes a step of the node with this index in the description.
+    ///
+    /// # Errors
+    ///
+    /// As [`message`](RecordingWriter::message).
+    pub fn step(&mut self, node: usize, step: &StepView<'_>) -> Result<(), RecordingError> {
+        let inputs = step.inputs.iter().map(|input| (input.port(), input.stamps(), input.superseded()));
+        self.put_step(node, [step.due, step.start, step.end], step.seq, inputs)
+    }
+
+    /// As [`step`](RecordingWriter::step), from a record.
+    ///
+    /// # Errors
+    ///
+    /// As [`message`](RecordingWriter::message).
+    pub fn step_record(&mut self, node: usize, step: &StepRecord) -> Result<(), RecordingError> {
+        let inputs = step.inputs.iter().map(|input| (&*input.port, &*input.consumed, input.superseded));
+        self.put_step(node, [step.due, step.start, step.end], step.seq, inputs)
+    }
+
+    fn put_step<'a>(
+        &mut self,
+        node: usize,
+        times: [Nanos; 3],
+        seq: u64,
+        inputs: impl ExactSizeIterator<Item = (&'a str, &'a [Consumed], u64)>,
+    ) -> Result<(), RecordingError> {
+        let channel = self.tracks[node].steps;
+        let refuse = |reason: String| RecordingError::Unwritable {
+            path: self.path.clone(),
+            node: self.tracks[node].name.clone(),
+            what: format!("step {seq}"),
+            reason,
+        };
+        let sequence = u32::try_from(seq).map_err(|_| refuse("MCAP counts to 2^32 only".into()))?;
+        let end = times[2];
+        let time = self.time(end).ok_or_else(|| refuse(format!("it ended at {end} ns, before the start")))?;
+        encode_step(&mut self.cdr, seq, times, inputs);
+        self.put(channel, sequence, time)
+    }
+
+    /// Writes that messages were lost.
+    ///
+    /// # Errors
+    ///
+    /// As [`message`](RecordingWriter::message).
+    pub fn loss(&mut self, loss: &Loss) -> Result<(), RecordingError> {
+        self.note(self.losses, loss.time, loss)
+    }
+
+    /// Writes that something went wrong.
+    ///
+    /// # Errors
+    ///
+    /// As [`message`](RecordingWriter::message).
+    pub fn fault(&mut self, fault: &Fault) -> Result<(), RecordingError> {
+        self.note(self.faults, fault.time, fault)
+    }
+
+    fn note(&mut self, channel: u16, time: Nanos, note: &impl Serialize) -> Result<(), RecordingError> {
+        let io = |source| RecordingError::Io { path: self.path.clone(), what: "describe a loss", source };
+        let json = serde_json::to_string(note).map_err(|e| io(e.into()))?;
+        self.cdr.begin();
+        self.cdr.text(&json);
+        let time = u64::try_from(time.saturating_sub(self.origin)).unwrap_or(0);
+        self.notes += 1;
+        self.put(channel, self.notes - 1, time)
+    }
+
+    /// Ends the recording of a run that lasted `duration`: the rest is written, and the summary that lets
+    /// readers jump.
+    ///
+    /// # Errors
+    ///
+    /// [`RecordingError::Write`].
+    pub fn finish(mut self, duration: Nanos) -> Result<(), RecordingError> {
+        let fail = |source| RecordingError::Write { path: self.path.clone(), source };
+        let metadata = BTreeMap::from([(DURATION.into(), duration.to_string())]);
+        self.mcap.write_metadata(&mcap::records::Metadata { name: END.into(), metadata }).map_err(fail)?;
+        self.mcap.finish().map_err(fail)?;
+        let flushed = self.mcap.into_inner().into_inner().map(drop);
+        flushed.map_err(|e| RecordingError::Io {
+            path: self.path,
+            what: "write the end",
+            source: e.into_error(),
+        })
+    }
+
+    /// A time as the file has it.
+    fn time(&self, time: Nanos) -> Option<u64> {
+        time.checked_sub(self.origin).and_then(|time| u64::try_from(time).ok())
+    }
+
+    fn put(&mut self, channel_id: u16, sequence: u32, time: u64) -> Result<(), RecordingError> {
+        let fail = |source| RecordingError::Write { path: self.path.clone(), source };
+        let start = *self.chunk_start.get_or_insert(time);
+        if time.saturating_sub(start) >= CHUNK_SPAN {
+            self.mcap.flush().map_err(fail)?;
+            self.chunk_start = Some(time);
+        }
+        let header = MessageHeader { channel_id, sequence, log_time: time, publish_time: time };
+        self.mcap.write_to_known_channel(&header, self.cdr.bytes()).map_err(fail)
+    }
+}
+
+/// Adds channels to a file.
+struct Channels<'a> {
+    mcap: &'a mut mcap::Writer<BufWriter<File>>,
+    /// Definition of every type that has been used, by name.
+    types: BTreeMap<String, String>,
+}
+
+impl Channels<'_> {
+    /// The schema, under a name that no other definition has: viewers know types by name.
+    fn named_apart(&mut self, mut schema: Schema) -> Schema {
+        let name = schema.name.clone();
+        let mut number = 2;
+        while self.types.get(&schema.name).is_some_and(|text| *text != schema.text)
+            || RESERVED.contains(&&*schema.name)
+        {
+            schema.name = format!("{name}{number}");
+            number += 1;
+        }
+        self.types.insert(schema.name.clone(), schema.text.clone());
+        schema
+    }
+
+    fn add(
+        &mut self,
+        topic: &str,
+        schema: &Schema,
+        content: Content,
+        about: &[(&str, &str)],
+    ) -> Result<u16, mcap::McapError> {
+        let id = self.mcap.add_schema(&schema.name, "ros2msg", schema.text.as_bytes())?;
+        let mut metadata: BTreeMap<String, String> =
+            about.iter().map(|(key, value)| ((*key).into(), (*value).into())).collect();
+        metadata.insert(CONTENT.into(), content.name().into());
+        self.mcap.add_channel(id, topic, "cdr", &metadata)
+    }
+}
+
+/// Type names that are ours.
+const RESERVED: [&str; 4] = [
+    "parallax_msgs/msg/Step",
+    "parallax_msgs/msg/StepInput",
+    "parallax_msgs/msg/Consumed",
+    "parallax_msgs/msg/Note",
+];
+
+/// Encodes a step as [`ros2msg::step`] describes it; the times are due, start and end.
+fn encode_step<'a>(
+    cdr: &mut CdrWriter,
+    seq: u64,
+    times: [Nanos; 3],
+    inputs: impl ExactSizeIterator<Item = (&'a str, &'a [Consumed], u64)>,
+) {
+    cdr.begin();
+    cdr.u64(seq);
+    times.iter().for_each(|time| cdr.i64(*time));
+    cdr.length(inputs.len());
+    for (port, consumed, superseded) in inputs {
+        cdr.text(port);
+        cdr.length(consumed.len());
+        for Consumed { seq, sent, received } in consumed {
+            cdr.flag(seq.is_none());
+            cdr.u64(seq.unwrap_or(0));
+            cdr.i64(*sent);
+            cdr.i64(*received);
+        }
+        cdr.u64(superseded);
+    }
+}
+
+impl RecordingSink for RecordingWriter {
+    fn message(&mut self, node: usize, seq: u64, sent: Nanos, payload: &[f64]) -> Result<(), SinkError> {
+        self.message(node, seq, sent, payload).map_err(|e| SinkError(e.into()))
+    }
+
+    fn step(&mut self, node: usize, step: &StepView<'_>) -> Result<(), SinkError> {
+        self.step(node, step).map_err(|e| SinkError(e.into()))
+    }
+
+    fn loss(&mut self, loss: &Loss) -> Result<(), SinkError> {
+        self.loss(loss).map_err(|e| SinkError(e.into()))
+    }
+
+    fn fault(&mut self, fault: &Fault) -> Result<(), SinkError> {
+        self.fault(fault).map_err(|e| SinkError(e.into()))
+    }
+}
+
+/// Writes a whole recording.
+///
+/// # Errors
+///
+/// As [`RecordingWriter`].
+pub fn write(path: &Path, recording: &Recording) -> Result<(), RecordingError> {
+    let description = Description {
+        graph: recording.graph.clone(),
+        clock: recording.clock.clone(),
+        nodes: recording
+            .nodes
+            .iter()
+            .map(|track| NodeDescription {
+                name: track.name.clone(),
+                layout: track.layout.clone(),
+                initial: track.initial.clone(),
+                stand_in: track.stand_in,
+            })
+            .collect(),
+    };
+    let records = in_order(&recording.nodes);
+    let origin = records.iter().map(|record| record.time).min().unwrap_or(0).min(0);
+    let mut writer = RecordingWriter::with_origin(path, &description, origin)?;
+    for Timed { node, record, .. } in records {
+        match record {
+            Record::Message(MessageRecord { seq, sent, payload }) => {
+                writer.message(node, *seq, *sent, payload)?
+            }
+            Record::Step(step) => writer.step_record(node, step)?,
+        }
+    }
+    recording.losses.iter().try_for_each(|loss| writer.loss(loss))?;
+    recording.faults.iter().try_for_each(|fault| writer.fault(fault))?;
+    writer.finish(recording.duration)
+}
+
+/// One record of a recording, and when it happened.
+struct Timed<'a> {
+    /// The latest time of its track so far: each track keeps its own order, whatever its times say.
+    at: Nanos,
+    time: Nanos,
+    node: usize,
+    record: Record<'a>,
+}
+
+enum Record<'a> {
+    Message(&'a MessageRecord),
+    Step(&'a StepRecord),
+}
+
+/// All records in the order of their times.
+fn in_order(tracks: &[NodeTrack]) -> Vec<Timed<'_>> {
+    let mut records = Vec::new();
+    for (node, track) in tracks.iter().enumerate() {
+        let mut at = Nanos::MIN;
+        for message in &track.messages {
+            at = at.max(message.sent);
+            records.push(Timed { at, time: message.sent, node, record: Record::Message(message) });
+        }
+        at = Nanos::MIN;
+        for step in &track.steps {
+            at = at.max(step.end);
+            records.push(Timed { at, time: step.end, node, record: Record::Step(step) });
+        }
+    }
+    records.sort_by_key(|record| record.at);
+    records
+}

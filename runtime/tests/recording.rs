@@ -1,0 +1,273 @@
+//! Recordings as files: what is written is read, what is cut is recovered, what is wrong is named.
+
+use std::fs;
+use std::path::Path;
+
+use parallax_runtime::graph::{GraphSpec, NodeSpec};
+use parallax_runtime::node::{Consumed, Layout};
+use parallax_runtime::recording::{
+    Clock, Fault, FaultKind, InputRecord, Loss, LossReason, MessageRecord, NodeTrack, Recording,
+    RecordingError, StepRecord, write,
+};
+use proptest::prelude::*;
+
+fn consumed() -> impl Strategy<Value = Consumed> {
+    prop_oneof![
+        Just(Consumed::INITIAL),
+        (any::<u64>(), any::<i64>(), any::<i64>()).prop_map(|(seq, sent, received)| Consumed {
+            seq: Some(seq),
+            sent,
+            received
+        }),
+    ]
+}
+
+fn track(index: usize) -> impl Strategy<Value = NodeTrack> {
+    let leaves = prop::collection::vec("[a-zA-Z_.0-9é]{0,6}", 0..4);
+    let input = ("[a-z]{1,4}", prop::collection::vec(consumed(), 0..4), any::<u64>())
+        .prop_map(|(port, consumed, superseded)| InputRecord { port, consumed, superseded });
+    let times = -1_000_000_000_000i64..1_000_000_000_000;
+    let step = (times.clone(), times.clone(), times.clone(), prop::collection::vec(input, 0..3)).boxed();
+    ("[a-z/]{1,5}", leaves, any::<bool>()).prop_flat_map(move |(type_name, leaves, stand_in)| {
+        let count = leaves.len();
+        let payload = prop::collection::vec(any::<u64>().prop_map(f64::from_bits), count);
+        let messages = prop::collection::vec((any::<u32>(), times.clone(), payload), 0..12);
+        let steps = prop::collection::vec((any::<u32>(), step.clone()), 0..12);
+        let initial =
+            prop::collection::vec(prop_oneof![any::<f64>(), Just(f64::NAN), Just(f64::INFINITY)], count);
+        (messages, steps, initial).prop_map(move |(messages, steps, initial)| NodeTrack {
+            name: format!("node{index}"),
+            layout: Layout { name: type_name.clone(), leaves: leaves.clone() },
+            initial,
+            stand_in,
+            messages: messages
+                .into_iter()
+                .map(|(seq, sent, payload)| MessageRecord { seq: seq.into(), sent, payload })
+                .collect(),
+            steps: steps
+                .into_iter()
+                .map(|(seq, (due, start, end, inputs))| StepRecord {
+                    seq: seq.into(),
+                    due,
+                    start,
+                    end,
+                    inputs,
+                })
+                .collect(),
+        })
+    })
+}
+
+fn recording() -> impl Strategy<Value = Recording> {
+    let loss = ("[a-z]{1,3}", any::<u64>(), any::<i64>()).prop_map(|(from, seq, time)| Loss {
+        from,
+        to: "b".into(),
+        port: "a".into(),
+        seq,
+        time,
+        reason: LossReason::Transport,
+    });
+    let fault = (any::<i64>(), "\\PC{0,8}").prop_map(|(time, message)| Fault {
+        node: "node0".into(),
+        time,
+        kind: FaultKind::Died { message },
+    });
+    let clock = prop_oneof![
+        any::<u64>().prop_map(|seed| Clock::Simulated { seed }),
+        (any::<i64>(), any::<u64>()).prop_map(|(start, seed)| Clock::Wall {
+            start,
+            host: "here".into(),
+            seed
+        }),
+    ];
+    let tracks = (0usize..4).prop_flat_map(|count| (0..count).map(track).collect::<Vec<_>>());
+    (tracks, clock, any::<i64>(), prop::collection::vec(loss, 0..3), prop::collection::vec(fault, 0..3))
+        .prop_map(|(nodes, clock, duration, losses, faults)| {
+            let specs = nodes.iter().map(|track| NodeSpec::new(&track.name, "kind nobody knows", 10.0));
+            let graph = GraphSpec {
+                name: "test".into(),
+                supervisor: "node0".into(),
+                nodes: specs.collect(),
+                connections: vec![],
+                plant: None,
+            };
+            Recording { graph, clock, duration, nodes, losses, faults, truncated: None }
+        })
+}
+
+/// A recording as text, and the bits of its payloads: equal for equal recordings, NaN included.
+fn text(recording: &Recording) -> (String, Vec<u64>) {
+    let payloads =
+        recording.nodes.iter().flat_map(|track| &track.messages).flat_map(|message| &message.payload);
+    (format!("{recording:?}"), payloads.map(|value| value.to_bits()).collect())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(96))]
+
+    #[test]
+    fn what_is_written_is_read(recording in recording()) {
+        let folder = tempfile::tempdir().unwrap();
+        let (one, two) = (folder.path().join("1.mcap"), folder.path().join("2.mcap"));
+        write(&one, &recording).unwrap();
+        let back = Recording::read(&one).unwrap();
+        prop_assert_eq!(text(&back), text(&recording));
+        // The same recording gives the same bytes.
+        write(&two, &back).unwrap();
+        prop_assert_eq!(fs::read(&one).unwrap(), fs::read(&two).unwrap());
+    }
+
+    #[test]
+    fn a_changed_byte_never_panics(recording in recording(), at in any::<prop::sample::Index>(), byte in any::<u8>()) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("changed.mcap");
+        write(&path, &recording).unwrap();
+        let mut bytes = fs::read(&path).unwrap();
+        let at = at.index(bytes.len());
+        bytes[at] = byte;
+        fs::write(&path, &bytes).unwrap();
+        let _ = Recording::read(&path);
+    }
+}
+
+/// Three nodes over three seconds: several chunks.
+fn sample() -> Recording {
+    let nodes = ["world", "camera", "agent"].iter().enumerate().map(|(index, name)| NodeTrack {
+        name: (*name).into(),
+        layout: Layout { name: format!("test/{name}"), leaves: vec!["angle".into(), "Speed[0]".into()] },
+        initial: vec![0.0, 0.0],
+        stand_in: index == 0,
+        messages: (0..90)
+            .map(|seq| MessageRecord {
+                seq,
+                sent: seq as i64 * 33_000_000,
+                payload: vec![seq as f64, index as f64],
+            })
+            .collect(),
+        steps: (0..90)
+            .map(|seq| StepRecord {
+                seq,
+                due: seq as i64 * 33_000_000,
+                start: seq as i64 * 33_000_000 + 10,
+                end: seq as i64 * 33_000_000 + 20,
+                inputs: vec![InputRecord {
+                    port: "in".into(),
+                    consumed: vec![Consumed::INITIAL],
+                    superseded: 2,
+                }],
+            })
+            .collect(),
+    });
+    let nodes: Vec<NodeTrack> = nodes.collect();
+    let graph = GraphSpec {
+        name: "test".into(),
+        supervisor: "agent".into(),
+        nodes: nodes.iter().map(|track| NodeSpec::new(&track.name, "test/any", 30.0)).collect(),
+        connections: vec![],
+        plant: None,
+    };
+    let clock = Clock::Simulated { seed: 7 };
+    Recording {
+        graph,
+        clock,
+        duration: 3_000_000_000,
+        nodes,
+        losses: vec![],
+        faults: vec![],
+        truncated: None,
+    }
+}
+
+fn written() -> (tempfile::TempDir, std::path::PathBuf, Vec<u8>) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("recording.mcap");
+    write(&path, &sample()).unwrap();
+    let bytes = fs::read(&path).unwrap();
+    (folder, path, bytes)
+}
+
+#[test]
+fn a_file_cut_anywhere_gives_its_beginning() {
+    let (_folder, path, bytes) = written();
+    let whole = sample();
+    let (mut recovered, mut seen) = (0, std::collections::BTreeSet::new());
+    for cut in (0..bytes.len()).step_by(7).chain(bytes.len() - 40..bytes.len()) {
+        fs::write(&path, &bytes[..cut]).unwrap();
+        match Recording::read(&path) {
+            Ok(part) => {
+                let reason = part.truncated.expect("the reader says that the end is missing");
+                assert!(reason.contains(&cut.to_string()), "{reason}");
+                for (part, whole) in part.nodes.iter().zip(&whole.nodes) {
+                    assert!(whole.messages.starts_with(&part.messages), "cut at {cut}");
+                    assert!(whole.steps.starts_with(&part.steps), "cut at {cut}");
+                }
+                assert_eq!(part.graph, whole.graph);
+                seen.insert(part.nodes[2].messages.len());
+                recovered += 1;
+            }
+            Err(RecordingError::Empty { .. }) => assert_eq!(cut, 0),
+            Err(RecordingError::CutEarly { .. }) => {
+                assert_eq!(recovered, 0, "cut at {cut}: what was there is gone")
+            }
+            Err(error) => panic!("cut at {cut}: {error}"),
+        }
+    }
+    // A second or so is the most that a killed recorder loses.
+    assert!(seen.len() >= 4 && seen.contains(&0) && seen.contains(&90), "{seen:?}");
+}
+
+#[test]
+fn errors_name_the_file_and_the_remedy() {
+    let (folder, path, bytes) = written();
+    let read = |path: &Path| Recording::read(path).expect_err("this must not be readable").to_string();
+    let check = |text: String, parts: &[&str]| {
+        for part in parts {
+            assert!(text.contains(part), "{part:?} is missing in: {text}");
+        }
+        assert!(text.contains("mcap"), "{text}");
+    };
+    check(read(&folder.path().join("none.mcap")), &["none.mcap", "no such file", "Give the path"]);
+    fs::create_dir(folder.path().join("folder.mcap")).unwrap();
+    check(read(&folder.path().join("folder.mcap")), &["folder.mcap", "cannot read the file"]);
+    fs::write(&path, "").unwrap();
+    check(read(&path), &["recording.mcap", "empty", "Record again"]);
+    fs::write(&path, "time,angle\n0,1\n").unwrap();
+    check(read(&path), &["not an MCAP file", "import"]);
+    fs::write(&path, &bytes[..20]).unwrap();
+    check(read(&path), &["cut at byte 20", "before the graph"]);
+
+    // A byte inside a chunk: find a message's payload, 89.0, and change it.
+    let payload = 89.0f64.to_le_bytes();
+    let at = bytes.windows(8).rposition(|window| window == payload).unwrap();
+    let mut damaged = bytes.clone();
+    damaged[at + 3] ^= 1;
+    fs::write(&path, &damaged).unwrap();
+    check(read(&path), &["checksum", "at byte", "damaged"]);
+}
+
+#[test]
+fn files_of_others_are_told_apart() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("foreign.mcap");
+    let file = fs::File::create(&path).unwrap();
+    let mut writer =
+        mcap::WriteOptions::new().compression(None).create(std::io::BufWriter::new(file)).unwrap();
+    let channel = writer.add_channel(0, "/odometry", "cdr", &Default::default()).unwrap();
+    let header =
+        mcap::records::MessageHeader { channel_id: channel, sequence: 0, log_time: 0, publish_time: 0 };
+    writer.write_to_known_channel(&header, &[0, 1, 0, 0]).unwrap();
+    writer.finish().unwrap();
+    drop(writer);
+    let text = Recording::read(&path).expect_err("Parallax did not write it").to_string();
+    assert!(text.contains("graph.json") && text.contains("/odometry") && text.contains("import"), "{text}");
+}
+
+#[test]
+fn a_payload_of_another_length_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut recording = sample();
+    recording.nodes[1].messages[5].payload.push(1.0);
+    let text =
+        write(&folder.path().join("a.mcap"), &recording).expect_err("three values, two leaves").to_string();
+    assert!(text.contains("camera") && text.contains("message 5") && text.contains("2 leaves"), "{text}");
+}
