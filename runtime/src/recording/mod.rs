@@ -5,6 +5,7 @@
 
 pub mod cdr;
 mod container;
+mod convert;
 mod error;
 pub mod log;
 mod reader;
@@ -18,6 +19,7 @@ use crate::node::{InputWindow, Layout};
 use crate::time::Nanos;
 
 pub use crate::node::Consumed;
+pub use convert::IMPORTED_SIGNAL;
 pub use error::RecordingError;
 pub use writer::{Description, NodeDescription, RecordingWriter, write};
 
