@@ -5,10 +5,9 @@
 //! smooth, and no sample is interpolated.
 
 use parallax_model::Dual;
-use parallax_model::Scalar;
 use parallax_model::effect::{Effect, PlaceKind, lag_step};
 use parallax_model::plant::Plant;
-use parallax_model::system::Point;
+use parallax_model::program::{Program, Workspace};
 
 use crate::experiment::Experiment;
 use crate::hypothesis::Slot;
@@ -17,14 +16,23 @@ use crate::simulator::{Event, Prediction, Reading, Run, Simulator, Transition};
 /// A plant bound to a recording, with the slots that θ fills.
 #[derive(Clone, Debug)]
 pub struct EquationsSimulator<'a> {
-    /// The plant, with the hypothesis' effects.
-    pub plant: Plant,
-    /// What each entry of θ stands for.
-    pub slots: Vec<Slot>,
-    /// The recording.
-    pub experiment: &'a Experiment,
-    /// Longest integration step (s).
-    pub step: f64,
+    plant: Plant,
+    slots: Vec<Slot>,
+    experiment: &'a Experiment,
+    step: f64,
+    derivatives: Program,
+    outputs: Vec<Program>,
+}
+
+impl<'a> EquationsSimulator<'a> {
+    /// The plant with the hypothesis' effects, what each entry of θ stands for, the recording, and the longest
+    /// integration step (s).
+    #[must_use]
+    pub fn new(plant: Plant, slots: Vec<Slot>, experiment: &'a Experiment, step: f64) -> Self {
+        let derivatives = plant.derivative_program();
+        let outputs = (0..experiment.wraps.len()).map(|output| plant.output_program(output)).collect();
+        EquationsSimulator { plant, slots, experiment, step, derivatives, outputs }
+    }
 }
 
 impl Simulator for EquationsSimulator<'_> {
@@ -60,14 +68,58 @@ struct Change<const N: usize> {
 /// A walk with gradients of length `N`: states first, then θ.
 struct EquationsRun<'a, const N: usize> {
     simulator: &'a EquationsSimulator<'a>,
-    parameters: Vec<Dual<N>>,
     extra: Vec<Dual<N>>,
+    machine: Machine<N>,
     changes: Vec<Vec<Change<N>>>,
     events: Vec<Event>,
     times: Vec<Dual<N>>,
     /// For each event and input, the index of the change that holds.
     current: Vec<u32>,
+}
+
+/// The programs' inputs (parameters, extra parameters, states, commands, time) and scratch space.
+struct Machine<const N: usize> {
     inputs: Vec<Dual<N>>,
+    states: usize,
+    commands: usize,
+    workspace: Workspace<Dual<N>>,
+}
+
+impl<const N: usize> Machine<N> {
+    fn evaluate(&mut self, program: &Program, states: &[Dual<N>], time: Dual<N>, out: &mut [Dual<N>]) {
+        self.inputs[self.states..self.states + states.len()].copy_from_slice(states);
+        if let Some(last) = self.inputs.last_mut() {
+            *last = time;
+        }
+        program.evaluate(&self.inputs, &mut self.workspace, out);
+    }
+
+    /// One step of the classical fourth-order Runge–Kutta method (Hairer, Nørsett & Wanner, "Solving Ordinary
+    /// Differential Equations I", section II.1), with held commands.
+    fn runge_kutta(&mut self, program: &Program, x: &mut [Dual<N>], dt: Dual<N>, time: Dual<N>, stage: &mut Stage<N>) {
+        let half = dt * 0.5;
+        let sixth = dt / 6.0;
+        stage.from.copy_from_slice(x);
+        stage.at.copy_from_slice(x);
+        for (fraction, weight) in [(None, 1.0), (Some(half), 2.0), (Some(half), 2.0), (Some(dt), 1.0)] {
+            if let Some(h) = fraction {
+                for ((at, from), k) in stage.at.iter_mut().zip(&stage.from).zip(&stage.slope) {
+                    *at = *from + *k * h;
+                }
+            }
+            self.evaluate(program, &stage.at, fraction.map_or(time, |h| time + h), &mut stage.slope);
+            for (x, k) in x.iter_mut().zip(&stage.slope) {
+                *x += *k * (sixth * weight);
+            }
+        }
+    }
+}
+
+/// Scratch space of an integration step.
+struct Stage<const N: usize> {
+    from: Vec<Dual<N>>,
+    at: Vec<Dual<N>>,
+    slope: Vec<Dual<N>>,
 }
 
 impl<'a, const N: usize> EquationsRun<'a, N> {
@@ -89,15 +141,19 @@ impl<'a, const N: usize> EquationsRun<'a, N> {
         }
         let inputs = simulator.experiment.inputs.len();
         let changes: Vec<Vec<Change<N>>> = (0..inputs).map(|i| changes(simulator, &extra, i)).collect();
+        let mut all = parameters;
+        all.extend_from_slice(&extra);
+        let states = all.len();
+        all.resize(states + n + inputs + 1, Dual::from_value(0.0));
+        let machine = Machine { inputs: all, states, commands: states + n, workspace: Workspace::new() };
         let mut run = EquationsRun {
             simulator,
-            parameters,
             extra,
+            machine,
             changes,
             events: Vec::new(),
             times: Vec::new(),
             current: Vec::new(),
-            inputs: vec![Dual::from_value(0.0); inputs],
         };
         run.merge();
         run
@@ -150,17 +206,13 @@ impl<'a, const N: usize> EquationsRun<'a, N> {
         find(&self.simulator.plant, &self.extra, effect, kind, index)
     }
 
-    fn load_inputs(&mut self, index: usize) {
-        let m = self.inputs.len();
+    fn load_commands(&mut self, index: usize) {
+        let m = self.changes.len();
         for input in 0..m {
             let at = self.current[index * m + input] as usize;
-            self.inputs[input] = self.changes[input].get(at).map_or(Dual::from_value(0.0), |c| c.value);
+            self.machine.inputs[self.machine.commands + input] =
+                self.changes[input].get(at).map_or(Dual::from_value(0.0), |c| c.value);
         }
-    }
-
-    fn derivatives(&self, states: &[Dual<N>], time: Dual<N>) -> Vec<Dual<N>> {
-        let point = Point { parameters: &self.parameters, states, inputs: &self.inputs, time };
-        self.simulator.plant.derivatives(&point, &self.extra)
     }
 }
 
@@ -206,7 +258,7 @@ impl<const N: usize> Run for EquationsRun<'_, N> {
     fn advance(&mut self, index: usize, state: &mut [f64], transition: &mut Transition) {
         let n = state.len();
         let p = self.simulator.slots.len();
-        self.load_inputs(index);
+        self.load_commands(index);
         let mut time = self.times[index];
         let span = self.times[index + 1] - time;
         let mut x: Vec<Dual<N>> = state.iter().enumerate().map(|(i, v)| Dual::variable(*v, i)).collect();
@@ -215,8 +267,10 @@ impl<const N: usize> Run for EquationsRun<'_, N> {
             // A rounding excess must not double the work of a step that just fits.
             let steps = (span.value / self.simulator.step - 1e-6).ceil().max(1.0);
             let dt = span / steps;
+            let zero = vec![Dual::from_value(0.0); n];
+            let mut stage = Stage { from: zero.clone(), at: zero.clone(), slope: zero };
             for _ in 0..steps as usize {
-                runge_kutta(&mut x, dt, time, |x, t| self.derivatives(x, t));
+                self.machine.runge_kutta(&self.simulator.derivatives, &mut x, dt, time, &mut stage);
                 time += dt;
             }
         }
@@ -232,12 +286,12 @@ impl<const N: usize> Run for EquationsRun<'_, N> {
     fn observe(&mut self, index: usize, state: &[f64], prediction: &mut Prediction) {
         let n = state.len();
         let p = self.simulator.slots.len();
-        self.load_inputs(index);
+        self.load_commands(index);
         let x: Vec<Dual<N>> = state.iter().enumerate().map(|(i, v)| Dual::variable(*v, i)).collect();
         let output = self.events[index].reading.map_or(0, |r| r.output);
-        let point =
-            Point { parameters: &self.parameters, states: &x, inputs: &self.inputs, time: self.times[index] };
-        let y = self.simulator.plant.output(output, &point, &self.extra);
+        let mut y = [Dual::from_value(0.0)];
+        self.machine.evaluate(&self.simulator.outputs[output], &x, self.times[index], &mut y);
+        let [y] = y;
         prediction.value = y.value;
         prediction.by_state.clear();
         prediction.by_state.extend_from_slice(&y.gradient[..n]);
@@ -247,19 +301,5 @@ impl<const N: usize> Run for EquationsRun<'_, N> {
 
     fn wrap(&self, output: usize) -> Option<f64> {
         self.simulator.experiment.wraps[output]
-    }
-}
-
-/// One step of the classical fourth-order Runge–Kutta method (Hairer, Nørsett & Wanner, "Solving Ordinary
-/// Differential Equations I", section II.1).
-fn runge_kutta<T: Scalar>(x: &mut [T], dt: T, time: T, f: impl Fn(&[T], T) -> Vec<T>) {
-    let shifted = |x: &[T], k: &[T], h: T| -> Vec<T> { x.iter().zip(k).map(|(x, k)| *x + *k * h).collect() };
-    let half = dt * 0.5;
-    let k1 = f(x, time);
-    let k2 = f(&shifted(x, &k1, half), time + half);
-    let k3 = f(&shifted(x, &k2, half), time + half);
-    let k4 = f(&shifted(x, &k3, dt), time + dt);
-    for i in 0..x.len() {
-        x[i] += (k1[i] + (k2[i] + k3[i]) * 2.0 + k4[i]) * (dt / 6.0);
     }
 }

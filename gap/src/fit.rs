@@ -166,9 +166,9 @@ impl Minimum {
             }
             volume += 2.0 * f.scale.ln();
         }
-        // A direction in which nothing is known is no wider than the parameter's own scale times a thousand.
-        for i in 0..p {
-            scaled[(i, i)] += 1e-6;
+        // Where the data say nothing, the posterior is no wider than a flat prior.
+        for (i, f) in fitted.iter().enumerate() {
+            scaled[(i, i)] += f.prior.flat_precision() * f.scale * f.scale;
         }
         let log_determinant = match scaled.cholesky() {
             Some(c) => 2.0 * c.l().diagonal().iter().map(|d| d.ln()).sum::<f64>(),

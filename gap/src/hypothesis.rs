@@ -67,6 +67,15 @@ impl Prior {
             Prior::Uniform { low, high } => (0.5 * (low + high), 0.0),
         }
     }
+
+    /// The precision of a normal distribution as wide as a flat prior; zero for one that is not flat.
+    #[must_use]
+    pub fn flat_precision(&self) -> f64 {
+        match *self {
+            Prior::Uniform { low, high } => 12.0 / (high - low).powi(2),
+            _ => 0.0,
+        }
+    }
 }
 
 /// What a fitted parameter stands for.

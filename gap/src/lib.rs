@@ -1,5 +1,6 @@
 //! Where simulation and reality part, which effect causes it, and how far it explains the gap.
 
+pub mod bind;
 pub mod equations;
 pub mod experiment;
 pub mod filter;
@@ -13,3 +14,4 @@ pub mod library;
 pub mod noise;
 pub mod setup;
 pub mod search;
+pub mod report;

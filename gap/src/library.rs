@@ -219,10 +219,7 @@ pub fn simulator<'a>(setup: &'a Setup, hypothesis: &Hypothesis, residuals: Vec<R
         effects.push((at.effect, at.place.kind, place_index(setup, &at.place).unwrap_or(0)));
     }
     let smoothing = setup.joints.iter().map(|j| j.smoothing).collect();
-    EquationsSimulator {
-        plant: Plant::new(setup.equations.clone(), &effects, residuals, smoothing),
-        slots: hypothesis.fitted.iter().map(|f| f.slot).collect(),
-        experiment: &setup.experiment,
-        step: setup.step,
-    }
+    let plant = Plant::new(setup.equations.clone(), &effects, residuals, smoothing);
+    let slots = hypothesis.fitted.iter().map(|f| f.slot).collect();
+    EquationsSimulator::new(plant, slots, &setup.experiment, setup.step)
 }

@@ -1,0 +1,196 @@
+//! The answer: what a diagnosis found, as `report.json` states it, with the series that its plots need.
+
+pub mod html;
+
+use serde::{Deserialize, Serialize};
+
+/// A whole diagnosis.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// One sentence: where the gap lies, what causes it, how far it closes.
+    pub summary: String,
+    /// Name of the system that was believed.
+    pub system: String,
+    /// Titles of the recordings that were diagnosed.
+    pub recordings: Vec<String>,
+    /// Whether there is a gap at all.
+    pub gap: Gap,
+    /// The calibrated parameters under the leading answer.
+    pub calibration: Vec<Calibration>,
+    /// Places by probability.
+    #[serde(rename = "where")]
+    pub where_: Vec<Where>,
+    /// Answers by probability; an empty effect list is "no gap".
+    pub which: Vec<Which>,
+    /// What no named effect explains.
+    pub unexplained: Unexplained,
+    /// Effects that a calibrated parameter already covers.
+    pub absorbed: Vec<Absorbed>,
+    /// Effects that this system or log cannot show.
+    pub not_testable: Vec<NotTestable>,
+    /// Effects that this log cannot tell apart.
+    pub confusable: Vec<Confusable>,
+    /// Errors of prediction on held-out time.
+    pub how_far: HowFar,
+    /// Path of the corrected system, if one was written.
+    pub corrected_system: Option<String>,
+}
+
+/// Whether simulation and reality differ.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Gap {
+    /// Whether they do, after the calibrated parameters were refitted.
+    pub detected: bool,
+    /// Probability of so large a difference by chance.
+    pub p_value: f64,
+    /// Root mean square of predictions after calibration and before any effect, in noise units.
+    pub score: f64,
+}
+
+/// A calibrated parameter.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Calibration {
+    /// Its name.
+    pub name: String,
+    /// What the system file states.
+    pub nominal: f64,
+    /// What the fit found.
+    pub value: f64,
+    /// Standard deviation.
+    pub std: f64,
+    /// Its unit.
+    pub unit: String,
+    /// Whether it moved by more than two standard deviations.
+    pub significant: bool,
+}
+
+/// A place and its part in the gap.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Where {
+    /// The place, such as `joint:axis`.
+    pub place: String,
+    /// Share of the gap that the best effect there explains.
+    pub share: f64,
+    /// Probability that the cause lies there.
+    pub probability: f64,
+}
+
+/// An answer.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Which {
+    /// The effects; none for "no gap".
+    pub effects: Vec<FittedEffect>,
+    /// What this data cannot tell apart from it, itself included.
+    pub class: Vec<String>,
+    /// Probability of the class.
+    pub probability: f64,
+}
+
+/// An effect with its parameters.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FittedEffect {
+    /// The effect's name.
+    pub name: String,
+    /// Where it acts.
+    pub place: String,
+    /// Its parameters by name.
+    pub parameters: std::collections::BTreeMap<String, Value>,
+}
+
+/// A number with its uncertainty.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Value {
+    /// The estimate.
+    pub value: f64,
+    /// Its standard deviation.
+    pub std: f64,
+    /// Its unit.
+    pub unit: String,
+}
+
+/// What is left beyond the named effects.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Unexplained {
+    /// Probability that no named effect belongs to the cause.
+    pub probability: f64,
+    /// Share of the gap that remains beyond the best named answer and that a flexible residual closes.
+    pub share: f64,
+}
+
+/// An effect that a calibrated parameter covers.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Absorbed {
+    /// The effect, `viscous@joint:shaft`.
+    pub effect: String,
+    /// The parameter.
+    pub by: String,
+}
+
+/// An effect that cannot be judged here.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct NotTestable {
+    /// The effect.
+    pub effect: String,
+    /// Why.
+    pub reason: String,
+}
+
+/// Effects of one signature.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Confusable {
+    /// The effects.
+    pub effects: Vec<String>,
+    /// What would separate them.
+    pub separate_by: String,
+}
+
+/// Root mean square errors of prediction over the horizon, in noise units.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct HowFar {
+    /// How far ahead was predicted (s).
+    pub horizon_s: f64,
+    /// With the system as it was given.
+    pub nominal: f64,
+    /// With its calibrated parameters refitted.
+    pub refitted: f64,
+    /// With the leading answer's effects.
+    pub with_effect: f64,
+    /// With a flexible residual on top.
+    pub black_box: f64,
+    /// The sensor's noise.
+    pub noise_floor: f64,
+    /// 1 − (MSE with effect − floor)/(MSE nominal − floor).
+    pub closed_total: Interval,
+    /// The same from the refitted row.
+    pub closed_by_effect: Interval,
+}
+
+/// A value with its 95 % interval.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Interval {
+    /// The estimate.
+    pub value: f64,
+    /// Lower end.
+    pub low: f64,
+    /// Upper end.
+    pub high: f64,
+}
+
+/// Measured and predicted readings of one output on held-out time, for the overlay.
+#[derive(Clone, Debug, PartialEq, Default)]
+pub struct Overlay {
+    /// The output's name.
+    pub output: String,
+    /// Its unit.
+    pub unit: String,
+    /// One noise unit in that unit.
+    pub noise: f64,
+    /// Stamps (s).
+    pub stamp: Vec<f64>,
+    /// What was measured.
+    pub measured: Vec<f64>,
+    /// Predicted over the horizon by the refitted nominal system.
+    pub before: Vec<f64>,
+    /// Predicted over the horizon with the leading answer's effects.
+    pub after: Vec<f64>,
+}
