@@ -1,0 +1,189 @@
+//! What the world hides: at most one effect that the nominal simulator does not know.
+//!
+//! It is drawn from a seed that reaches the world's process by the environment ([`SEED_VARIABLE`]) or, within one
+//! process, by the registry ([`super::kinds`]). It is no parameter of the graph, so no recording holds it; whoever knows
+//! the seed can ask for the [`Truth`] afterwards. The formulas here are the world's own, written apart from those of the
+//! diagnosis.
+
+use std::fmt;
+
+use parallax_runtime::node::{NodeContext, NodeError};
+use parallax_runtime::random::{Purpose, stream};
+use rand::{Rng, RngExt};
+
+/// The environment variable that holds the seed from which the world draws its effect, a whole number.
+pub const SEED_VARIABLE: &str = "PARALLAX_HIDDEN_SEED";
+
+/// One departure of the world from the nominal simulator.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum HiddenEffect {
+    /// There is none.
+    #[default]
+    None,
+    /// A voltage acts this much later than it was sent, s.
+    Delay {
+        /// The delay, s.
+        delay: f64,
+    },
+    /// The voltage at the motor follows the command as a low-pass of first order.
+    Lag {
+        /// Its time constant, s.
+        time_constant: f64,
+    },
+    /// A constant is added to the voltage.
+    Offset {
+        /// The constant, V.
+        offset: f64,
+    },
+    /// The voltage at the motor cannot leave this range.
+    Saturation {
+        /// The lowest voltage, V.
+        low: f64,
+        /// The highest voltage, V.
+        high: f64,
+    },
+    /// Voltages smaller than this do nothing, and larger ones lose as much.
+    Deadband {
+        /// Half of the dead zone, V.
+        width: f64,
+    },
+    /// More viscous friction in the shaft's bearing.
+    Viscous {
+        /// The additional coefficient, N m s/rad.
+        coefficient: f64,
+    },
+    /// Dry friction in the shaft's bearing.
+    Coulomb {
+        /// The friction's torque, N m.
+        force: f64,
+    },
+    /// Dry friction that differs by direction.
+    AsymmetricFriction {
+        /// Its torque when the angle grows, N m.
+        forward: f64,
+        /// Its torque when the angle falls, N m.
+        backward: f64,
+    },
+    /// The mark that the camera sees is not where it should be.
+    Bias {
+        /// What the camera reads too much, rad.
+        bias: f64,
+    },
+    /// The weight is not what the nominal simulator believes.
+    Weight {
+        /// The weight times the distance of its centre from the shaft, N m.
+        mgl: f64,
+    },
+}
+
+/// What the world hid, in the words of a diagnosis.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Truth {
+    /// The effect's name.
+    pub effect: &'static str,
+    /// Where it acts.
+    pub place: &'static str,
+    /// Its parameters: name, value, unit.
+    pub parameters: Vec<(&'static str, f64, &'static str)>,
+}
+
+impl fmt::Display for Truth {
+    /// As in `delay@input:voltage (delay 0.024 s)`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let parameters: Vec<String> = self
+            .parameters
+            .iter()
+            .map(|(name, value, unit)| format!("{name} {} {unit}", rounded(*value)))
+            .collect();
+        write!(f, "{}@{} ({})", self.effect, self.place, parameters.join(", "))
+    }
+}
+
+/// Three significant digits.
+fn rounded(value: f64) -> f64 {
+    format!("{value:.2e}").parse().unwrap_or(value)
+}
+
+impl HiddenEffect {
+    /// How many sorts there are, "none" included.
+    pub const SORTS: usize = 11;
+
+    /// Draws a sort, each as likely as any other, and its size. Equal seeds draw equal effects.
+    pub fn draw(seed: u64) -> Self {
+        let mut random = stream(seed, Purpose::Node, "hidden effect");
+        let sort = random.random_range(0..Self::SORTS);
+        Self::draw_sort(sort, &mut random)
+    }
+
+    /// Draws the size of the effect of a sort, from 0 (none) to [`Self::SORTS`] − 1. Sizes are such that a mechanic would
+    /// find them worth a repair, and no machine would stop working.
+    pub fn draw_sort(sort: usize, random: &mut impl Rng) -> Self {
+        let sign = if random.random::<bool>() { 1.0 } else { -1.0 };
+        match sort {
+            1 => Self::Delay { delay: random.random_range(0.010..0.040) },
+            2 => Self::Lag { time_constant: random.random_range(0.015..0.050) },
+            3 => Self::Offset { offset: sign * random.random_range(0.25..0.6) },
+            4 => {
+                Self::Saturation { low: -random.random_range(1.8..2.8), high: random.random_range(1.8..2.8) }
+            }
+            5 => Self::Deadband { width: random.random_range(0.2..0.5) },
+            6 => Self::Viscous { coefficient: random.random_range(5e-5..2e-4) },
+            7 => Self::Coulomb { force: random.random_range(5e-4..1.5e-3) },
+            8 => {
+                let (mean, part) = (random.random_range(6e-4..1.2e-3), random.random_range(0.35..0.6));
+                Self::AsymmetricFriction {
+                    forward: mean * (1.0 + sign * part),
+                    backward: mean * (1.0 - sign * part),
+                }
+            }
+            9 => Self::Bias { bias: sign * random.random_range(0.03..0.10) },
+            10 => Self::Weight { mgl: super::world::WEIGHT * (1.0 + sign * random.random_range(0.10..0.25)) },
+            _ => Self::None,
+        }
+    }
+
+    /// The effect in the words of a diagnosis, or nothing when there is none.
+    pub fn truth(&self) -> Option<Truth> {
+        let truth =
+            |effect, place, parameters: &[_]| Some(Truth { effect, place, parameters: parameters.to_vec() });
+        match *self {
+            Self::None => None,
+            Self::Delay { delay } => truth("delay", "input:voltage", &[("delay", delay, "s")]),
+            Self::Lag { time_constant } => {
+                truth("lag", "input:voltage", &[("time_constant", time_constant, "s")])
+            }
+            Self::Offset { offset } => truth("offset", "input:voltage", &[("offset", offset, "V")]),
+            Self::Saturation { low, high } => {
+                truth("saturation", "input:voltage", &[("low", low, "V"), ("high", high, "V")])
+            }
+            Self::Deadband { width } => truth("deadband", "input:voltage", &[("width", width, "V")]),
+            Self::Viscous { coefficient } => {
+                truth("viscous", "joint:shaft", &[("coefficient", coefficient, "N m s/rad")])
+            }
+            Self::Coulomb { force } => truth("coulomb", "joint:shaft", &[("force", force, "N m")]),
+            Self::AsymmetricFriction { forward, backward } => truth(
+                "asymmetric_friction",
+                "joint:shaft",
+                &[("forward", forward, "N m"), ("backward", backward, "N m")],
+            ),
+            Self::Bias { bias } => truth("bias", "output:angle", &[("bias", bias, "rad")]),
+            Self::Weight { mgl } => truth("parameter", "parameter:mgl", &[("value", mgl, "N m")]),
+        }
+    }
+}
+
+/// What the seed in [`SEED_VARIABLE`] draws; nothing is hidden when it is not set.
+///
+/// # Errors
+///
+/// When it is set to something that is no whole number.
+pub fn from_environment(context: &NodeContext) -> Result<HiddenEffect, NodeError> {
+    match std::env::var(SEED_VARIABLE) {
+        Err(std::env::VarError::NotPresent) => Ok(HiddenEffect::None),
+        Ok(text) => text.trim().parse().map(HiddenEffect::draw).map_err(|_| {
+            context
+                .parameter_error(format!("the environment's {SEED_VARIABLE} is `{text}`, not a whole number"))
+        }),
+        Err(error) => Err(context.parameter_error(format!("the environment's {SEED_VARIABLE}: {error}"))),
+    }
+}

@@ -1,0 +1,88 @@
+//! The pendulum: a graph of five nodes that swings it up, balances it and shakes it, with a world that stands in for the
+//! hardware.
+//!
+//! ```text
+//! world ──> camera ──> estimator ──> agent ──> motor ──> world
+//!                          ^────────────────────┘
+//! ```
+//!
+//! The world hides at most one effect that the nominal simulator ([`SYSTEM`]) does not know; see [`hidden`].
+
+pub mod agent;
+pub mod camera;
+pub mod estimator;
+pub mod hidden;
+mod messages;
+pub mod motor;
+pub mod world;
+
+use std::f64::consts::PI;
+
+use parallax_runtime::delay::Delay;
+use parallax_runtime::graph::{GraphBuilder, GraphSpec};
+use parallax_runtime::registry::Registry;
+
+pub use messages::{Angle, Estimate, Voltage, WorldState};
+
+use agent::Agent;
+use camera::Camera;
+use estimator::Estimator;
+use hidden::HiddenEffect;
+use motor::Motor;
+use world::World;
+
+/// The nominal simulator of the stretch between `motor.voltage` and `camera.angle`: the text of a `system.toml`.
+pub const SYSTEM: &str = include_str!("system.toml");
+
+/// The kinds of node of this graph, with a world that hides `effect`.
+///
+/// The effect reaches the world through the registry alone, so that neither the graph nor a recording of it tells it.
+pub fn kinds(registry: Registry, effect: HiddenEffect) -> Registry {
+    everything_but_the_world(registry).with("pendulum/world", world::kind(move |_| Ok(effect)))
+}
+
+/// The kinds of node of this graph, with a world that hides what the seed in the environment draws
+/// ([`hidden::SEED_VARIABLE`]), or nothing when there is none.
+pub fn kinds_from_environment(registry: Registry) -> Registry {
+    everything_but_the_world(registry).with("pendulum/world", world::kind(hidden::from_environment))
+}
+
+fn everything_but_the_world(registry: Registry) -> Registry {
+    registry
+        .with("pendulum/camera", camera::kind())
+        .with("pendulum/estimator", estimator::kind())
+        .with("pendulum/agent", agent::kind())
+        .with("pendulum/motor", motor::kind())
+        .with("pendulum/pid", crate::pid::kind::<Angle, Voltage>())
+}
+
+/// The graph. Its delays are those of a small camera and computer.
+pub fn graph() -> GraphSpec {
+    let mut graph = GraphBuilder::new("pendulum");
+    let normal = |mean: f64, std: f64| Delay::Normal { mean, std };
+    let world =
+        graph.node::<World>("world", "pendulum/world", 200.0).computation(Delay::constant(50e-6)).add();
+    let camera =
+        graph.node::<Camera>("camera", "pendulum/camera", 100.0).computation(normal(2e-3, 0.2e-3)).add();
+    let estimator = graph
+        .node::<Estimator>("estimator", "pendulum/estimator", 100.0)
+        .computation(normal(0.2e-3, 0.02e-3))
+        .add();
+    let agent = graph.node::<Agent>("agent", "pendulum/agent", 50.0).computation(normal(1e-3, 0.2e-3)).add();
+    let motor =
+        graph.node::<Motor>("motor", "pendulum/motor", 100.0).computation(Delay::constant(0.1e-3)).add();
+    let wire = || normal(0.3e-3, 0.05e-3);
+    graph.connect(world, camera, camera::WORLD).blocking().delay(wire()).add();
+    graph.connect(camera, estimator, estimator::CAMERA).blocking().delay(wire()).add();
+    graph.connect(motor, estimator, estimator::MOTOR).skip().window(estimator::COMMANDS).delay(wire()).add();
+    graph.connect(estimator, agent, agent::ESTIMATOR).blocking().delay(wire()).add();
+    graph.connect(agent, motor, motor::AGENT).delay(wire()).add();
+    graph.connect(motor, world, world::MOTOR).skip().window(world::COMMANDS).delay(wire()).add();
+    graph.plant(SYSTEM);
+    graph.supervisor(agent)
+}
+
+/// The same angle, rad, within [−π, π).
+pub(crate) fn wrapped(angle: f64) -> f64 {
+    (angle + PI).rem_euclid(2.0 * PI) - PI
+}
