@@ -56,7 +56,9 @@ fn coupled() -> System {
 
 #[test]
 fn every_part_is_read() {
+    assert_eq!(System::parse(COUPLED, "coupled.toml").unwrap().open_names(), ["m1", "tau"]);
     let system = coupled();
+    assert!(system.open_names().is_empty());
     let names: Vec<_> = system.parameters.iter().map(|p| p.name.as_str()).collect();
     assert_eq!(names, ["g", "m2", "m1", "tau"]);
     assert_eq!(system.parameters[1].calibrate, Some([1.0, 3.0]));

@@ -145,6 +145,20 @@ impl System {
         Equations::new(self.clone())
     }
 
+    /// The names that the equations use and nothing defines yet: a recording's constants must supply them.
+    pub fn open_names(&self) -> Vec<&str> {
+        // A payload's `mass` is the added mass, whose name binding gives a meaning.
+        let payloads = self.joints.iter().flat_map(|joint| joint.payload.values());
+        let payloads: Vec<&Expression> = payloads.collect();
+        let mut open = std::collections::BTreeSet::new();
+        for expression in self.expressions() {
+            let in_payload = payloads.iter().any(|payload| std::ptr::eq(*payload, expression));
+            let undefined = |name: &&str| self.kind_of(name).is_none() && self.parameter(name).is_none();
+            open.extend(expression.names().filter(undefined).filter(|name| !(in_payload && *name == "mass")));
+        }
+        open.into_iter().collect()
+    }
+
     /// Index of the parameter `name`.
     pub fn parameter(&self, name: &str) -> Option<usize> {
         self.parameters.iter().position(|parameter| parameter.name == name)
