@@ -68,7 +68,9 @@
 mod gate;
 mod inbox;
 mod input;
+mod verify;
 
 pub use gate::{GateError, StepGate, Wait};
 pub use inbox::Inbox;
 pub use input::{Account, Arrival};
+pub use verify::{Deviation, DeviationKind, ScheduleCheck, verify};

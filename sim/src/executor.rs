@@ -1,0 +1,401 @@
+//! Runs a graph under a simulated clock.
+
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+use parallax_runtime::delay::DelaySampler;
+use parallax_runtime::graph::Graph;
+use parallax_runtime::node::{ErasedNode, NodeError};
+use parallax_runtime::random::{Purpose, stream};
+use parallax_runtime::recording::{
+    Clock, Fault, FaultKind, Loss, LossReason, MemorySink, Recording, RecordingSink, SinkError, StepView,
+};
+use parallax_runtime::schedule::{Account, GateError, Inbox, Wait};
+use parallax_runtime::time::Nanos;
+use rand_chacha::ChaCha8Rng;
+
+use crate::event::{Class, Event, Queue};
+
+/// Why a graph could not be run under the simulated clock.
+#[derive(Debug, thiserror::Error)]
+pub enum SimError {
+    /// A node could not be built.
+    #[error("node `{node}` cannot be built: {source}")]
+    Build {
+        /// The node.
+        node: String,
+        /// Why.
+        source: NodeError,
+    },
+    /// The recording could not be written.
+    #[error(transparent)]
+    Sink(#[from] SinkError),
+    /// The executor and a gate disagree: a fault of this program, not of the graph.
+    #[error("the schedule of node `{node}` broke at {time} ns, please report this: {source}")]
+    Gate {
+        /// The node.
+        node: String,
+        /// When.
+        time: Nanos,
+        /// How.
+        source: GateError,
+    },
+    /// Real time cannot be scaled by this.
+    #[error("a real-time factor of {factor} is not possible; it has to be a positive number")]
+    RealTimeFactor {
+        /// The factor.
+        factor: f64,
+    },
+    /// Nothing can run for this long.
+    #[error("a duration of {duration} ns is not possible; it has to be positive")]
+    Duration {
+        /// The duration.
+        duration: Nanos,
+    },
+}
+
+/// Runs a graph under a simulated clock: computation and communication delays are drawn from the graph's distributions,
+/// one random stream per node and per connection. One seed gives one run, bit for bit.
+#[derive(Debug, Clone)]
+pub struct Executor {
+    graph: Graph,
+    seed: u64,
+    real_time_factor: Option<f64>,
+}
+
+/// What a run came to.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Outcome {
+    /// Steps that ran to their end.
+    pub steps: u64,
+    /// Where the messages of each connection are, in the order of the graph.
+    pub connections: Vec<ConnectionAccount>,
+    /// Nodes that ended before the run did.
+    pub faults: Vec<Fault>,
+}
+
+/// Where the messages of one connection are at the end of a run.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ConnectionAccount {
+    /// The connection, `from->to`.
+    pub connection: String,
+    /// Messages sent into it.
+    pub sent: u64,
+    /// Messages under way, or arrived and not yet seen.
+    pub in_flight: u64,
+    /// The rest.
+    pub account: Account,
+}
+
+impl Executor {
+    /// Runs `graph` with all randomness from `seed`, as fast as it can.
+    pub fn new(graph: Graph, seed: u64) -> Self {
+        Self { graph, seed, real_time_factor: None }
+    }
+
+    /// Holds the run back so that it takes `factor` simulated seconds a second: 1 is real time.
+    #[must_use]
+    pub fn real_time_factor(mut self, factor: f64) -> Self {
+        self.real_time_factor = Some(factor);
+        self
+    }
+
+    /// The graph that it runs.
+    pub fn graph(&self) -> &Graph {
+        &self.graph
+    }
+
+    /// The clock as recordings name it.
+    pub fn clock(&self) -> Clock {
+        Clock::Simulated { seed: self.seed }
+    }
+
+    /// Runs for `duration` and keeps the recording in memory.
+    ///
+    /// # Errors
+    ///
+    /// As [`run`](Self::run).
+    pub fn record(&self, duration: Nanos) -> Result<Recording, SimError> {
+        let mut sink = MemorySink::new(&self.graph, self.clock());
+        self.run(duration, &mut sink)?;
+        Ok(sink.finish(duration))
+    }
+
+    /// Runs for `duration`: no step starts at or after it, and those that run then are ended. A node that gives up is a
+    /// fault of the [`Outcome`], not an error: its receivers react as to a dead sender.
+    ///
+    /// # Errors
+    ///
+    /// When a node cannot be built, the sink cannot keep what happens, or `duration` or the real-time factor is not
+    /// positive.
+    pub fn run(&self, duration: Nanos, sink: &mut impl RecordingSink) -> Result<Outcome, SimError> {
+        if duration <= 0 {
+            return Err(SimError::Duration { duration });
+        }
+        let pace = match self.real_time_factor {
+            Some(factor) if !(factor.is_finite() && factor > 0.0) => {
+                return Err(SimError::RealTimeFactor { factor });
+            }
+            factor => factor.map(|factor| (Instant::now(), factor)),
+        };
+        let mut run = Run::new(&self.graph, self.seed, duration, sink)?;
+        for &node in self.graph.order() {
+            run.wake(node, 0)?;
+        }
+        while let Some(event) = run.queue.pop() {
+            if let Some((began, factor)) = pace {
+                let target = Duration::from_secs_f64(event.time.max(0) as f64 * 1e-9 / factor);
+                std::thread::sleep(target.saturating_sub(began.elapsed()));
+            }
+            run.happen(event)?;
+        }
+        Ok(run.outcome())
+    }
+}
+
+struct NodeState {
+    inbox: Inbox,
+    node: Box<dyn ErasedNode>,
+    output: Box<[f64]>,
+    computation: DelaySampler,
+    random: ChaCha8Rng,
+    alive: bool,
+    /// A start is in the queue.
+    scheduled: bool,
+    start: Nanos,
+    sent: u64,
+}
+
+/// Messages under way on one connection, oldest first.
+struct Flight {
+    delay: DelaySampler,
+    random: ChaCha8Rng,
+    stamps: VecDeque<(u64, Nanos)>,
+    values: VecDeque<f64>,
+    payload: Box<[f64]>,
+    last_arrival: Nanos,
+}
+
+struct Run<'a, S> {
+    graph: &'a Graph,
+    duration: Nanos,
+    sink: &'a mut S,
+    nodes: Vec<NodeState>,
+    flights: Vec<Flight>,
+    queue: Queue,
+    steps: u64,
+    faults: Vec<Fault>,
+}
+
+impl<'a, S: RecordingSink> Run<'a, S> {
+    fn new(graph: &'a Graph, seed: u64, duration: Nanos, sink: &'a mut S) -> Result<Self, SimError> {
+        let mut nodes = Vec::with_capacity(graph.nodes().len());
+        for (index, plan) in graph.nodes().iter().enumerate() {
+            let node = graph
+                .build(index, seed)
+                .map_err(|source| SimError::Build { node: plan.name.clone(), source })?;
+            nodes.push(NodeState {
+                inbox: Inbox::new(graph, index),
+                node,
+                output: plan.kind.initial_message().into(),
+                computation: plan.computation.sampler(),
+                random: stream(seed, Purpose::Computation, &plan.name),
+                alive: true,
+                scheduled: false,
+                start: 0,
+                sent: 0,
+            });
+        }
+        let flights = graph.connections().iter().enumerate().map(|(index, plan)| Flight {
+            delay: plan.delay.sampler(),
+            random: stream(seed, Purpose::Communication, &graph.connection_name(index)),
+            stamps: VecDeque::with_capacity(plan.capacity),
+            values: VecDeque::with_capacity(plan.capacity * plan.leaves),
+            payload: vec![0.0; plan.leaves].into(),
+            last_arrival: 0,
+        });
+        Ok(Self {
+            graph,
+            duration,
+            sink,
+            nodes,
+            flights: flights.collect(),
+            queue: Queue::default(),
+            steps: 0,
+            faults: Vec::new(),
+        })
+    }
+
+    #[inline]
+    fn happen(&mut self, event: Event) -> Result<(), SimError> {
+        let target = event.target as usize;
+        match event.class {
+            Class::End => self.end(target, event.time),
+            Class::Arrival => self.arrive(target, event.time),
+            Class::Death => {
+                let plan = &self.graph.connections()[target];
+                self.nodes[plan.to].inbox.sender_dead(plan.input);
+                self.wake(plan.to, event.time)
+            }
+            Class::Start => {
+                self.nodes[target].scheduled = false;
+                // A death may have changed what the step waits for since the start was scheduled.
+                match self.nodes[target].inbox.gate().ready() {
+                    Wait::Until(start) if start <= event.time => self.start(target, event.time),
+                    _ => self.wake(target, event.time),
+                }
+            }
+        }
+    }
+
+    /// Looks at what `node` waits for, and schedules its next step if that is nothing but time.
+    #[inline]
+    fn wake(&mut self, node: usize, now: Nanos) -> Result<(), SimError> {
+        let state = &mut self.nodes[node];
+        if !state.alive || state.scheduled {
+            return Ok(());
+        }
+        let gate = state.inbox.gate();
+        match gate.ready() {
+            Wait::Until(start) => {
+                let start = start.max(now);
+                // Nothing starts once the time is up; what runs then is ended.
+                if start < self.duration {
+                    state.scheduled = true;
+                    let rank = self.graph.nodes()[node].rank as u32;
+                    let event = Event {
+                        time: start,
+                        class: Class::Start,
+                        rank,
+                        seq: gate.seq(),
+                        target: node as u32,
+                    };
+                    self.queue.push(event);
+                }
+                Ok(())
+            }
+            Wait::Stop { input } => {
+                let connection = self.graph.nodes()[node].inputs[input];
+                let sender = self.graph.nodes()[self.graph.connections()[connection].from].name.clone();
+                self.die(node, now, FaultKind::DeadSender { sender })
+            }
+            Wait::Message { .. } | Wait::End => Ok(()),
+        }
+    }
+
+    #[inline]
+    fn start(&mut self, node: usize, now: Nanos) -> Result<(), SimError> {
+        let state = &mut self.nodes[node];
+        let step = state.inbox.begin(now).map_err(|source| gate_error(self.graph, node, now, source))?;
+        let seq = step.seq;
+        if let Err(error) = state.node.step_into(&step, &mut state.output) {
+            return self.die(node, now, FaultKind::Failed { message: error.to_string() });
+        }
+        state.start = now;
+        let end = now.saturating_add(state.computation.sample(&mut state.random));
+        let rank = self.graph.nodes()[node].rank as u32;
+        self.queue.push(Event { time: end, class: Class::End, rank, seq, target: node as u32 });
+        Ok(())
+    }
+
+    #[inline]
+    fn end(&mut self, node: usize, now: Nanos) -> Result<(), SimError> {
+        let plan = &self.graph.nodes()[node];
+        let state = &mut self.nodes[node];
+        let gate = state.inbox.gate();
+        let (seq, due) = (gate.seq(), gate.due());
+        let step = StepView { seq, due, start: state.start, end: now, inputs: state.inbox.windows() };
+        self.sink.step(node, &step)?;
+        self.sink.message(node, seq, now, &state.output)?;
+        state.inbox.end(now).map_err(|source| gate_error(self.graph, node, now, source))?;
+        state.sent += 1;
+        self.steps += 1;
+        for &connection in &plan.outputs {
+            let flight = &mut self.flights[connection];
+            // Messages of one connection never overtake each other.
+            let arrival =
+                now.saturating_add(flight.delay.sample(&mut flight.random)).max(flight.last_arrival);
+            flight.last_arrival = arrival;
+            if arrival < self.duration {
+                flight.stamps.push_back((seq, now));
+                flight.values.extend(state.output.iter());
+                self.queue.push(Event {
+                    time: arrival,
+                    class: Class::Arrival,
+                    rank: plan.rank as u32,
+                    seq,
+                    target: connection as u32,
+                });
+            }
+        }
+        self.wake(node, now)
+    }
+
+    #[inline]
+    fn arrive(&mut self, connection: usize, now: Nanos) -> Result<(), SimError> {
+        let plan = &self.graph.connections()[connection];
+        let flight = &mut self.flights[connection];
+        let Some((seq, sent)) = flight.stamps.pop_front() else { return Ok(()) };
+        for (place, value) in flight.payload.iter_mut().zip(flight.values.drain(..plan.leaves)) {
+            *place = value;
+        }
+        let state = &mut self.nodes[plan.to];
+        let arrival = state
+            .inbox
+            .arrive(plan.input, seq, sent, now, &flight.payload)
+            .map_err(|source| gate_error(self.graph, plan.to, now, source))?;
+        if arrival.slot.is_none() {
+            self.sink.loss(&Loss {
+                from: self.graph.nodes()[plan.from].name.clone(),
+                to: self.graph.nodes()[plan.to].name.clone(),
+                port: plan.port.clone(),
+                seq,
+                time: now,
+                reason: LossReason::Overflow,
+            })?;
+        }
+        // A message can only end a blocking wait.
+        if plan.blocking { self.wake(plan.to, now) } else { Ok(()) }
+    }
+
+    fn die(&mut self, node: usize, now: Nanos, kind: FaultKind) -> Result<(), SimError> {
+        self.nodes[node].alive = false;
+        let plan = &self.graph.nodes()[node];
+        let fault = Fault { node: plan.name.clone(), time: now, kind };
+        self.sink.fault(&fault)?;
+        self.faults.push(fault);
+        for &connection in &plan.outputs {
+            // What is under way still arrives: the death is noticed after it.
+            let time = now.max(self.flights[connection].last_arrival);
+            let event = Event {
+                time,
+                class: Class::Death,
+                rank: plan.rank as u32,
+                seq: 0,
+                target: connection as u32,
+            };
+            if time < self.duration {
+                self.queue.push(event);
+            }
+        }
+        Ok(())
+    }
+
+    fn outcome(self) -> Outcome {
+        let connections = self.graph.connections().iter().enumerate().map(|(index, plan)| {
+            let sent = self.nodes[plan.from].sent;
+            let account = self.nodes[plan.to].inbox.gate().account(plan.input);
+            ConnectionAccount {
+                connection: self.graph.connection_name(index),
+                sent,
+                in_flight: account.in_flight(sent),
+                account,
+            }
+        });
+        Outcome { steps: self.steps, connections: connections.collect(), faults: self.faults }
+    }
+}
+
+fn gate_error(graph: &Graph, node: usize, time: Nanos, source: GateError) -> SimError {
+    SimError::Gate { node: graph.nodes()[node].name.clone(), time, source }
+}

@@ -1,0 +1,393 @@
+//! Runs the nodes of a recording again, on exactly what they consumed.
+
+use std::fmt;
+
+use parallax_runtime::graph::{Graph, GraphError};
+use parallax_runtime::node::{ErasedNode, InputWindow, NodeContext, NodeError, Step};
+use parallax_runtime::recording::{NodeTrack, Recording, StepRecord};
+use parallax_runtime::registry::Registry;
+use parallax_runtime::schedule::{ScheduleCheck, verify};
+
+/// Builds a node in place of the one that the graph names; `None` leaves that node as it is.
+pub type Override = dyn Fn(&NodeContext) -> Option<Result<Box<dyn ErasedNode>, NodeError>>;
+
+/// How to replay.
+#[derive(Default)]
+pub struct ReplayOptions {
+    /// Nodes to run in place of recorded ones. A node that stands in for hardware runs again only if it is overridden;
+    /// without that its recorded messages are injected.
+    pub overrides: Option<Box<Override>>,
+}
+
+impl fmt::Debug for ReplayOptions {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("ReplayOptions").field("overrides", &self.overrides.is_some()).finish()
+    }
+}
+
+/// Why a recording cannot be replayed.
+#[derive(Debug, thiserror::Error)]
+pub enum ReplayError {
+    /// Its graph is not one that this program can run: most often it does not know a kind of node.
+    #[error("the recorded graph cannot be run: {0}")]
+    Graph(#[from] GraphError),
+    /// It lacks a node of its own graph.
+    #[error("the recording has no track of node `{node}`, which its graph names; record the run again")]
+    MissingNode {
+        /// The node.
+        node: String,
+    },
+    /// Its messages have another layout than the kind of node has in this program.
+    #[error(
+        "node `{node}` sent {recorded}, but its kind sends {known} in this program; replay with the program that recorded"
+    )]
+    Layout {
+        /// The node.
+        node: String,
+        /// The recorded layout.
+        recorded: String,
+        /// The layout of the kind.
+        known: String,
+    },
+    /// A step consumed a message that the recording does not hold.
+    #[error(
+        "step {step} of node `{node}` consumed message {seq} of `{from}`, which the recording does not hold"
+    )]
+    MissingMessage {
+        /// The receiver.
+        node: String,
+        /// Its step.
+        step: u64,
+        /// The sender.
+        from: String,
+        /// The message.
+        seq: u64,
+    },
+    /// A step's output is not in the recording.
+    #[error("node `{node}` made step {step}, but the recording does not hold the message that it sent")]
+    MissingOutput {
+        /// The node.
+        node: String,
+        /// Its step.
+        step: u64,
+    },
+    /// Steps are not recorded in order, from 0, without holes.
+    #[error(
+        "node `{node}`: step {found} is recorded where step {expected} belongs; the recording is damaged"
+    )]
+    StepOrder {
+        /// The node.
+        node: String,
+        /// The step that belongs there.
+        expected: u64,
+        /// The step that is there.
+        found: u64,
+    },
+    /// A step's inputs are not those of its kind of node.
+    #[error("step {step} of node `{node}` has the inputs {found}, but its kind has {expected}")]
+    Inputs {
+        /// The node.
+        node: String,
+        /// Its step.
+        step: u64,
+        /// The recorded inputs.
+        found: String,
+        /// The inputs of the kind.
+        expected: String,
+    },
+    /// A message has another number of leaves than its layout.
+    #[error(
+        "message {seq} of node `{node}` has {found} leaves, but its layout has {expected}; the recording is damaged"
+    )]
+    Payload {
+        /// The sender.
+        node: String,
+        /// The message.
+        seq: u64,
+        /// How many there are.
+        found: usize,
+        /// How many there should be.
+        expected: usize,
+    },
+    /// A node could not be built.
+    #[error("node `{node}` cannot be built: {source}")]
+    Build {
+        /// The node.
+        node: String,
+        /// Why.
+        source: NodeError,
+    },
+    /// A step that was recorded fails now.
+    #[error("step {step} of node `{node}` fails in the replay, but did not in the recording: {source}")]
+    Failed {
+        /// The node.
+        node: String,
+        /// Its step.
+        step: u64,
+        /// Why.
+        source: NodeError,
+    },
+}
+
+/// An output that is not the recorded one.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Difference {
+    /// The node.
+    pub node: String,
+    /// Its step.
+    pub seq: u64,
+    /// The leaf.
+    pub leaf: String,
+    /// The recorded value.
+    pub recorded: f64,
+    /// The replayed value.
+    pub replayed: f64,
+}
+
+impl fmt::Display for Difference {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { node, seq, leaf, recorded, replayed } = self;
+        write!(f, "step {seq} of node `{node}`: {leaf} is {replayed:?}, recorded was {recorded:?}")
+    }
+}
+
+/// What the replay of one node found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NodeReplay {
+    /// The node.
+    pub name: String,
+    /// Whether its messages were taken from the recording: it stands in for hardware, or does not promise equal bits.
+    pub injected: bool,
+    /// Steps that ran again; 0 when injected.
+    pub steps: u64,
+    /// Recorded messages that its steps consumed, each counted once per step that saw it.
+    pub consumed: u64,
+    /// Steps whose output was not the recorded one, bit for bit.
+    pub differing: u64,
+    /// The first of them.
+    pub first_difference: Option<Difference>,
+    /// Whether its recorded schedule follows the rules.
+    pub schedule: ScheduleCheck,
+}
+
+/// What a replay found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReplayReport {
+    /// Every node, in the order of the graph.
+    pub nodes: Vec<NodeReplay>,
+    /// Steps at the end of a cut recording that could not be replayed, because what they consumed or sent lies beyond
+    /// the cut. Always 0 for a whole recording.
+    pub beyond_cut: u64,
+}
+
+impl ReplayReport {
+    /// Steps that ran again.
+    pub fn steps(&self) -> u64 {
+        self.nodes.iter().map(|node| node.steps).sum()
+    }
+
+    /// Messages that were consumed again.
+    pub fn consumed(&self) -> u64 {
+        self.nodes.iter().map(|node| node.consumed).sum()
+    }
+
+    /// The nodes whose messages were taken from the recording.
+    pub fn injected(&self) -> impl Iterator<Item = &str> {
+        self.nodes.iter().filter(|node| node.injected).map(|node| node.name.as_str())
+    }
+
+    /// The first difference of the node that comes first in the graph.
+    pub fn first_difference(&self) -> Option<&Difference> {
+        self.nodes.iter().find_map(|node| node.first_difference.as_ref())
+    }
+
+    /// Whether every output was the recorded one, bit for bit, and every recorded step follows the rules.
+    pub fn is_exact(&self) -> bool {
+        self.nodes.iter().all(|node| node.differing == 0 && node.schedule.deviation.is_none())
+    }
+}
+
+/// Replays a recording: every node alone, in recorded order, each step on exactly the messages that it consumed then,
+/// with their recorded times. Outputs are compared with the recorded ones bit for bit, and the schedule is fed through
+/// the gates that decide schedules, to see whether they decide the same.
+///
+/// Because every node is given recorded inputs, a node that differs does not make others differ.
+///
+/// # Errors
+///
+/// When the recording does not fit together or does not fit the registry.
+pub fn replay(
+    recording: &Recording,
+    registry: &Registry,
+    options: &ReplayOptions,
+) -> Result<ReplayReport, ReplayError> {
+    let graph = recording.graph.validate(registry)?;
+    let tracks = tracks(recording, &graph)?;
+    let mut report = ReplayReport { nodes: Vec::with_capacity(tracks.len()), beyond_cut: 0 };
+    for index in 0..tracks.len() {
+        let usable = usable_steps(recording, &graph, &tracks, index)?;
+        report.beyond_cut += (tracks[index].steps.len() - usable) as u64;
+        let steps = &tracks[index].steps[..usable];
+        let mut node = rerun(recording, &graph, &tracks, index, steps, options)?;
+        node.schedule = verify(recording, &graph, index, steps);
+        report.nodes.push(node);
+    }
+    Ok(report)
+}
+
+/// The tracks in the order of the graph.
+fn tracks<'a>(recording: &'a Recording, graph: &Graph) -> Result<Vec<&'a NodeTrack>, ReplayError> {
+    let mut tracks = Vec::with_capacity(graph.nodes().len());
+    for plan in graph.nodes() {
+        let track =
+            recording.node(&plan.name).ok_or_else(|| ReplayError::MissingNode { node: plan.name.clone() })?;
+        if track.layout != *plan.kind.output() {
+            return Err(ReplayError::Layout {
+                node: plan.name.clone(),
+                recorded: track.layout.to_string(),
+                known: plan.kind.output().to_string(),
+            });
+        }
+        let expected = track.layout.leaves.len();
+        let initial = std::iter::once((0, track.initial.len()));
+        let messages = track.messages.iter().map(|message| (message.seq, message.payload.len()));
+        if let Some((seq, found)) = initial.chain(messages).find(|&(_, found)| found != expected) {
+            return Err(ReplayError::Payload { node: plan.name.clone(), seq, found, expected });
+        }
+        tracks.push(track);
+    }
+    Ok(tracks)
+}
+
+/// How many steps of a node can be replayed: all, unless the recording was cut. Checks that they fit together.
+fn usable_steps(
+    recording: &Recording,
+    graph: &Graph,
+    tracks: &[&NodeTrack],
+    index: usize,
+) -> Result<usize, ReplayError> {
+    for (place, step) in tracks[index].steps.iter().enumerate() {
+        match check_step(graph, tracks, index, place as u64, step) {
+            // Tracks of a cut recording end at different times.
+            Err(ReplayError::MissingMessage { .. } | ReplayError::MissingOutput { .. })
+                if recording.truncated.is_some() =>
+            {
+                return Ok(place);
+            }
+            result => result?,
+        }
+    }
+    Ok(tracks[index].steps.len())
+}
+
+fn check_step(
+    graph: &Graph,
+    tracks: &[&NodeTrack],
+    index: usize,
+    expected: u64,
+    step: &StepRecord,
+) -> Result<(), ReplayError> {
+    let plan = &graph.nodes()[index];
+    let node = || plan.name.clone();
+    if step.seq != expected {
+        return Err(ReplayError::StepOrder { node: node(), expected, found: step.seq });
+    }
+    let ports = || plan.inputs.iter().map(|&connection| graph.connections()[connection].port.as_str());
+    if !step.inputs.iter().map(|input| input.port.as_str()).eq(ports()) {
+        let found: Vec<&str> = step.inputs.iter().map(|input| input.port.as_str()).collect();
+        return Err(ReplayError::Inputs {
+            node: node(),
+            step: step.seq,
+            found: format!("[{}]", found.join(", ")),
+            expected: format!("[{}]", ports().collect::<Vec<_>>().join(", ")),
+        });
+    }
+    for (input, &connection) in step.inputs.iter().zip(&plan.inputs) {
+        let sender = tracks[graph.connections()[connection].from];
+        for seq in input.consumed.iter().filter_map(|consumed| consumed.seq) {
+            if sender.message(seq).is_none() {
+                let from = sender.name.clone();
+                return Err(ReplayError::MissingMessage { node: node(), step: step.seq, from, seq });
+            }
+        }
+    }
+    if tracks[index].message(step.seq).is_none() {
+        return Err(ReplayError::MissingOutput { node: node(), step: step.seq });
+    }
+    Ok(())
+}
+
+/// Runs one node again and compares its outputs.
+fn rerun(
+    recording: &Recording,
+    graph: &Graph,
+    tracks: &[&NodeTrack],
+    index: usize,
+    steps: &[StepRecord],
+    options: &ReplayOptions,
+) -> Result<NodeReplay, ReplayError> {
+    let plan = &graph.nodes()[index];
+    let track = tracks[index];
+    let mut result = NodeReplay {
+        name: plan.name.clone(),
+        injected: false,
+        steps: 0,
+        consumed: 0,
+        differing: 0,
+        first_difference: None,
+        schedule: ScheduleCheck::default(),
+    };
+    let context = graph.context(index, recording.clock.seed());
+    let replacement = options.overrides.as_ref().and_then(|overrides| overrides(&context));
+    let injected = track.stand_in || plan.kind.is_stand_in() || !plan.kind.is_deterministic();
+    let built = match replacement {
+        Some(built) => built,
+        None if injected => {
+            result.injected = true;
+            return Ok(result);
+        }
+        None => plan.kind.build(&context),
+    };
+    let mut node = built.map_err(|source| ReplayError::Build { node: plan.name.clone(), source })?;
+
+    let connections = || plan.inputs.iter().map(|&connection| &graph.connections()[connection]);
+    let mut windows: Vec<InputWindow> =
+        connections().map(|plan| InputWindow::new(plan.port.clone(), plan.leaves, plan.window)).collect();
+    let mut output = track.initial.clone();
+    for step in steps {
+        for ((window, input), connection) in windows.iter_mut().zip(&step.inputs).zip(connections()) {
+            let sender = tracks[connection.from];
+            window.clear(input.superseded);
+            for &consumed in &input.consumed {
+                let payload = match consumed.seq.map(|seq| sender.message(seq)) {
+                    None => &sender.initial,
+                    Some(Some(message)) => &message.payload,
+                    // `check_step` has found every message.
+                    Some(None) => continue,
+                };
+                window.push(consumed, payload);
+                result.consumed += u64::from(consumed.seq.is_some());
+            }
+        }
+        let view = Step::new(step.seq, step.due, step.start, &windows);
+        node.step_into(&view, &mut output).map_err(|source| ReplayError::Failed {
+            node: plan.name.clone(),
+            step: step.seq,
+            source,
+        })?;
+        result.steps += 1;
+        let Some(recorded) = track.message(step.seq) else { continue };
+        let differs = |(a, b): (&f64, &f64)| a.to_bits() != b.to_bits();
+        if let Some(leaf) = recorded.payload.iter().zip(&output).position(differs) {
+            result.differing += 1;
+            result.first_difference.get_or_insert_with(|| Difference {
+                node: plan.name.clone(),
+                seq: step.seq,
+                leaf: track.layout.leaves[leaf].clone(),
+                recorded: recorded.payload[leaf],
+                replayed: output[leaf],
+            });
+        }
+    }
+    Ok(result)
+}
