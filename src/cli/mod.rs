@@ -1,0 +1,69 @@
+//! The commands. They wire the crates together; what they do is there.
+
+mod args;
+mod failure;
+mod import;
+mod info;
+mod output;
+mod replay;
+mod sim;
+
+use std::process::ExitCode;
+
+use clap::{ArgAction, Parser, Subcommand};
+use tracing_subscriber::EnvFilter;
+
+const EXIT_CODES: &str = "\
+Exit codes:
+  0    done
+  1    done, and the answer is no: the replay differs from the recording
+  2    the command or its input cannot be used
+  3    the run failed, for instance because a node died
+  130  interrupted";
+
+/// Runs a robot as a graph of nodes, replays it exactly under a simulated clock, and says where simulation and reality
+/// part, why, and how much of the gap a cause explains.
+#[derive(Parser)]
+#[command(name = "parallax", version, about, after_help = EXIT_CODES, propagate_version = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    /// Say more on standard error; twice for everything.
+    #[arg(short, long, global = true, action = ArgAction::Count)]
+    verbose: u8,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Run a graph under a simulated clock.
+    #[command(after_help = EXIT_CODES)]
+    Sim(sim::Arguments),
+    /// Run the nodes of a recording again, on exactly what they consumed, and compare.
+    #[command(after_help = EXIT_CODES)]
+    Replay(replay::Arguments),
+    /// Turn a folder of CSV logs into a recording.
+    #[command(after_help = EXIT_CODES)]
+    Import(import::Arguments),
+    /// Say what is in a recording, a folder of logs, a graph or a system.
+    #[command(after_help = EXIT_CODES)]
+    Info(info::Arguments),
+}
+
+/// Reads the command line and does what it says.
+pub(crate) fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let level = ["warn", "info", "debug"][usize::from(cli.verbose.min(2))];
+    let filter = EnvFilter::try_from_env("PARALLAX_LOG").unwrap_or_else(|_| EnvFilter::new(level));
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+
+    let result = match cli.command {
+        Command::Sim(arguments) => sim::run(&arguments),
+        Command::Replay(arguments) => replay::run(&arguments),
+        Command::Import(arguments) => import::run(&arguments),
+        Command::Info(arguments) => info::run(&arguments),
+    };
+    match result {
+        Ok(outcome) => outcome.into(),
+        Err(failure) => failure.report(),
+    }
+}

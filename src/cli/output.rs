@@ -1,0 +1,63 @@
+//! What commands print: tables for people, JSON for scripts, progress for whoever waits.
+
+use std::io::Write;
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+
+use super::failure::Failure;
+
+/// Prints a line to standard output; a reader that has gone away is no error.
+pub(crate) fn line(text: impl AsRef<str>) {
+    let _ = writeln!(std::io::stdout(), "{}", text.as_ref());
+}
+
+/// Prints a value as JSON.
+pub(crate) fn json(value: &impl Serialize) -> Result<(), Failure> {
+    line(serde_json::to_string_pretty(value).map_err(Failure::runtime)?);
+    Ok(())
+}
+
+/// Prints rows below a header, in columns as wide as they need. Numbers are set to the right.
+pub(crate) fn table(header: &[&str], rows: &[Vec<String>]) {
+    let width = |column: usize| {
+        let cells = rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count());
+        cells.chain([header[column].chars().count()]).max().unwrap_or(0)
+    };
+    let widths: Vec<usize> = (0..header.len()).map(width).collect();
+    let print = |cells: &mut dyn Iterator<Item = &str>| {
+        let mut text = String::from(" ");
+        for (cell, width) in cells.zip(&widths) {
+            let pad = " ".repeat(width.saturating_sub(cell.chars().count()));
+            let number = cell.starts_with(|c: char| c.is_ascii_digit() || c == '-');
+            text += &if number { format!(" {pad}{cell}") } else { format!(" {cell}{pad}") };
+        }
+        line(text.trim_end());
+    };
+    print(&mut header.iter().copied());
+    for row in rows {
+        print(&mut row.iter().map(String::as_str));
+    }
+}
+
+/// Seconds with a unit that fits.
+pub(crate) fn seconds(value: f64) -> String {
+    match value.abs() {
+        0.0 => "0 s".into(),
+        size if size < 1e-6 => format!("{:.0} ns", value * 1e9),
+        size if size < 1e-3 => format!("{:.1} us", value * 1e6),
+        size if size < 1.0 => format!("{:.2} ms", value * 1e3),
+        _ => format!("{value:.3} s"),
+    }
+}
+
+/// A bar on standard error that counts to `total`; hidden where that is no terminal.
+pub(crate) fn progress(what: &str, total: u64) -> ProgressBar {
+    let bar = ProgressBar::new(total);
+    let style = ProgressStyle::with_template("{msg} [{wide_bar}] {percent}% {eta}");
+    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "));
+    bar.set_message(what.to_owned());
+    bar.enable_steady_tick(Duration::from_millis(200));
+    bar
+}

@@ -1,0 +1,157 @@
+//! `parallax sim`: a graph under a simulated clock.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use indicatif::ProgressBar;
+use parallax_runtime::recording::{
+    Description, Fault, Loss, NoSink, RecordingSink, RecordingWriter, SinkError, StepView,
+};
+use parallax_runtime::time::{Nanos, to_seconds};
+use parallax_sim::{Executor, SimError};
+use serde_json::json;
+
+use super::args::{NodeChange, duration, graph_spec, make_parent, validate};
+use super::failure::{Failure, Outcome, Sort};
+use super::output;
+
+#[derive(Args)]
+pub(crate) struct Arguments {
+    /// A graph.toml, or `pendulum`.
+    graph: String,
+    /// Simulated seconds.
+    #[arg(long, value_name = "SECONDS", default_value = "20", value_parser = duration)]
+    duration: Nanos,
+    /// Seed of all randomness: one seed gives one run, bit for bit.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// The recording to write.
+    #[arg(long, value_name = "FILE.mcap")]
+    out: Option<PathBuf>,
+    /// Simulated seconds a second; without it, as fast as possible.
+    #[arg(long, value_name = "FACTOR")]
+    real_time_factor: Option<f64>,
+    /// Change a node: its rate, core or a parameter of its kind.
+    #[arg(long = "node", value_name = "NODE.KEY=VALUE")]
+    changes: Vec<NodeChange>,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
+    let graph = validate(&graph_spec(&arguments.graph, &arguments.changes)?)?;
+    let mut executor = Executor::new(graph, arguments.seed);
+    if let Some(factor) = arguments.real_time_factor {
+        executor = executor.real_time_factor(factor);
+    }
+    let bar = output::progress("simulating", arguments.duration.unsigned_abs());
+    let outcome = match &arguments.out {
+        Some(out) => {
+            make_parent(out)?;
+            let description = Description::new(executor.graph(), executor.clock());
+            let writer = RecordingWriter::create(out, &description).input()?;
+            let mut sink = Watched { sink: writer, bar: bar.clone() };
+            let outcome = executor.run(arguments.duration, &mut sink).map_err(sort)?;
+            sink.sink.finish(arguments.duration).runtime()?;
+            outcome
+        }
+        None => {
+            executor.run(arguments.duration, &mut Watched { sink: NoSink, bar: bar.clone() }).map_err(sort)?
+        }
+    };
+    bar.finish_and_clear();
+
+    let faults: Vec<String> = outcome.faults.iter().map(describe).collect();
+    if arguments.json {
+        let connections: Vec<_> = outcome
+            .connections
+            .iter()
+            .map(|c| {
+                json!({ "connection": c.connection, "sent": c.sent, "in_flight": c.in_flight,
+                        "consumed": c.account.consumed, "superseded": c.account.superseded })
+            })
+            .collect();
+        output::json(&json!({
+            "graph": executor.graph().spec().name, "seed": arguments.seed, "out": arguments.out,
+            "duration_s": to_seconds(arguments.duration), "steps": outcome.steps,
+            "connections": connections, "faults": faults,
+        }))?;
+    } else {
+        output::line(format!(
+            "{}: {} steps in {} simulated seconds, seed {}",
+            executor.graph().spec().name,
+            outcome.steps,
+            to_seconds(arguments.duration),
+            arguments.seed
+        ));
+        let rows: Vec<Vec<String>> = outcome
+            .connections
+            .iter()
+            .map(|c| {
+                let counts = [c.sent, c.account.consumed, c.account.superseded, c.in_flight];
+                [vec![c.connection.clone()], counts.map(|count| count.to_string()).to_vec()].concat()
+            })
+            .collect();
+        output::table(&["connection", "sent", "consumed", "superseded", "in flight"], &rows);
+        if let Some(out) = &arguments.out {
+            output::line(format!("recorded to {}", out.display()));
+        }
+    }
+    if faults.is_empty() {
+        Ok(Outcome::Done)
+    } else {
+        Err(Failure::runtime(anyhow::anyhow!(faults.join("; "))))
+    }
+}
+
+/// A node that cannot be built, or a duration that cannot be, comes from the input.
+fn sort(error: SimError) -> Failure {
+    match error {
+        SimError::Build { .. } | SimError::RealTimeFactor { .. } | SimError::Duration { .. } => {
+            Failure::input(error)
+        }
+        _ => Failure::runtime(error),
+    }
+}
+
+/// A node's early end in words.
+pub(crate) fn describe(fault: &Fault) -> String {
+    use parallax_runtime::recording::FaultKind;
+    let how = match &fault.kind {
+        FaultKind::Failed { message } => format!("failed: {message}"),
+        FaultKind::DeadSender { sender } => {
+            format!("stopped, because it waited for `{sender}`, which is dead")
+        }
+        FaultKind::Died { message } => format!("died: {message}"),
+    };
+    format!("node `{}` {how} (at {:.3} s)", fault.node, to_seconds(fault.time))
+}
+
+/// Passes everything on and shows how far the run is.
+struct Watched<S> {
+    sink: S,
+    bar: ProgressBar,
+}
+
+impl<S: RecordingSink> RecordingSink for Watched<S> {
+    fn message(&mut self, node: usize, seq: u64, sent: Nanos, payload: &[f64]) -> Result<(), SinkError> {
+        // A redraw for each message would cost more than the simulation.
+        if seq % 64 == 0 {
+            self.bar.set_position(sent.max(0).unsigned_abs());
+        }
+        self.sink.message(node, seq, sent, payload)
+    }
+
+    fn step(&mut self, node: usize, step: &StepView<'_>) -> Result<(), SinkError> {
+        self.sink.step(node, step)
+    }
+
+    fn loss(&mut self, loss: &Loss) -> Result<(), SinkError> {
+        self.sink.loss(loss)
+    }
+
+    fn fault(&mut self, fault: &Fault) -> Result<(), SinkError> {
+        self.sink.fault(fault)
+    }
+}
