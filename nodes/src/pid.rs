@@ -61,12 +61,12 @@ pub fn kind<M: Measured, C: Commanded>() -> NodeKind {
     NodeKind::new(|context| {
         let parameters: Parameters = context.parameters()?;
         let [low, high] = parameters.limits;
-        if !(low <= high) {
+        if low.is_nan() || high.is_nan() || low > high {
             return Err(
                 context.parameter_error(format!("`limits` are [{low}, {high}]; the first must be lower"))
             );
         }
-        if parameters.wrap.is_some_and(|period| !(period > 0.0)) {
+        if parameters.wrap.is_some_and(|period| period.is_nan() || period <= 0.0) {
             return Err(context.parameter_error("`wrap` must be a positive period"));
         }
         Ok(Pid::<M, C>::new(parameters))

@@ -187,11 +187,54 @@ fn twenty_seconds_cover_what_tells_causes_apart() {
         ("large positive voltage", share(&|row| row.voltage > 2.8)),
         ("large negative voltage", share(&|row| row.voltage < -2.8)),
     ] {
-        println!("{what}: {part}");
         assert!(part > 0.03, "{what}: {:.1} % of the time", 100.0 * part);
     }
     let reversals = rows.windows(2).filter(|pair| pair[0].truth.speed * pair[1].truth.speed < 0.0).count();
     assert!(reversals > 40, "{reversals} reversals");
+}
+
+#[test]
+fn without_an_effect_the_nominal_equations_predict_the_world() {
+    let system = System::parse(SYSTEM, "system.toml").expect("it parses");
+    let equations = system.equations().expect("every name is known");
+    let mut parameters = equations.nominal();
+    for (name, true_value) in [("J", 1.62e-4), ("K", 0.0337)] {
+        let index =
+            system.parameters.iter().position(|parameter| parameter.name == name).expect("a parameter");
+        let [low, high] = system.parameters[index].calibrate.expect("the fit may move it");
+        assert!((low..high).contains(&true_value));
+        parameters[index] = true_value;
+    }
+    let rows = run(HiddenEffect::None, serde_json::json!({}), 20);
+    let mut worst = 0.0f64;
+    for start in (1..rows.len() - 25).step_by(25) {
+        let mut x = [rows[start].truth.angle, rows[start].truth.speed];
+        // A quarter of a second; commands change 5 ms after every row.
+        for step in 0..50 {
+            let voltage = rows[start + usize::div_ceil(step, 2) - 1].voltage;
+            let slope = |x: &[f64; 2]| {
+                let point = parallax_model::system::Point {
+                    parameters: &parameters,
+                    states: x,
+                    inputs: &[voltage],
+                    time: 0.0,
+                };
+                let derivatives = equations.values(&point, &[]).derivatives;
+                [derivatives[0], derivatives[1]]
+            };
+            x = parallax_model::integrate::rk4_steps(slope, x, 0.005, 5);
+        }
+        worst = worst.max((x[0] - rows[start + 25].truth.angle).abs());
+    }
+    assert!(worst < 1e-4, "off by {worst} rad after 0.25 s, with noise of 1.5e-3 rad");
+}
+
+#[test]
+fn the_agent_balances_while_it_shakes() {
+    let rows = run(HiddenEffect::None, serde_json::json!({}), 5);
+    let last = &rows[400..];
+    let up = last.iter().filter(|row| apart(row.truth.angle, 0.0).abs() < 0.4).count();
+    assert!(up as f64 > 0.9 * last.len() as f64, "upright in {up} of {} rows", last.len());
 }
 
 #[test]

@@ -22,7 +22,7 @@ pub const ESTIMATOR: Port<Estimate> = Port::new("estimator");
 /// Frequencies of the excitation, Hz: none is a multiple of another, so that the sum does not repeat within a run.
 const FREQUENCIES: [f64; 8] = [0.31, 0.57, 0.97, 1.61, 2.43, 3.37, 4.61, 5.93];
 /// The energies to go to, one after the other, as fractions of that upright; −1 hangs still, 1 is at rest upright.
-const LEVELS: [f64; 6] = [0.2, 1.0, -0.6, 1.5, 0.6, 1.0];
+const LEVELS: [f64; 6] = [0.2, 1.0, -0.6, 1.5, -0.2, 0.6];
 /// How long each energy is held, s.
 const HOLD: f64 = 2.5;
 
@@ -40,7 +40,7 @@ pub struct Parameters {
 
 impl Default for Parameters {
     fn default() -> Self {
-        Self { limit: 4.0, excitation: 1.6, balance_only: false }
+        Self { limit: 4.0, excitation: 2.4, balance_only: false }
     }
 }
 
@@ -95,7 +95,7 @@ impl Node for Agent {
         let near_the_top = angle.abs() < 0.4 && speed.abs() < 5.0;
         let voltage = if level == 1.0 && near_the_top {
             // The weight tips over with mgl θ, which 4.8 V per rad balance; the rest brings it back.
-            -(16.0 * angle + 1.4 * speed) + 0.5 * self.excitation(time)
+            -(16.0 * angle + 1.4 * speed) + 0.4 * self.excitation(time)
         } else {
             let missing = level - energy(&self.model, &State { angle, speed }) / top;
             // Smooth in the speed: at a turning point neither direction adds energy.

@@ -103,12 +103,9 @@ impl Estimator {
         let p = believed.covariance;
         let innovation = wrapped(seen.angle - believed.state[0]);
         let gain = [p[0][0] / (p[0][0] + noise), p[1][0] / (p[0][0] + noise)];
-        for row in 0..2 {
-            believed.state[row] += gain[row] * innovation;
-            for column in 0..2 {
-                believed.covariance[row][column] = p[row][column] - gain[row] * p[0][column];
-            }
-        }
+        believed.state = [0, 1].map(|row| believed.state[row] + gain[row] * innovation);
+        believed.covariance =
+            [0, 1].map(|row| [0, 1].map(|column: usize| p[row][column] - gain[row] * p[0][column]));
         believed.state[0] = wrapped(believed.state[0]);
         self.believed = Some(believed);
     }
@@ -140,12 +137,11 @@ impl Estimator {
             // White acceleration of density q: its effect on speed and angle over dt.
             let q = self.parameters.disturbance * self.parameters.disturbance;
             let noise = [[q * dt.powi(3) / 3.0, q * dt * dt / 2.0], [q * dt * dt / 2.0, q * dt]];
-            for row in 0..2 {
-                for column in 0..2 {
-                    believed.covariance[row][column] =
-                        fp[row][0] * f[column][0] + fp[row][1] * f[column][1] + noise[row][column];
-                }
-            }
+            believed.covariance = [0, 1].map(|row: usize| {
+                [0, 1].map(|column: usize| {
+                    fp[row][0] * f[column][0] + fp[row][1] * f[column][1] + noise[row][column]
+                })
+            });
             believed.stamp += dt;
         }
     }

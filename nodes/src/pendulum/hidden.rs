@@ -5,6 +5,7 @@
 //! the seed can ask for the [`Truth`] afterwards. The formulas here are the world's own, written apart from those of the
 //! diagnosis.
 
+use std::env::VarError;
 use std::fmt;
 
 use parallax_runtime::node::{NodeContext, NodeError};
@@ -178,12 +179,39 @@ impl HiddenEffect {
 ///
 /// When it is set to something that is no whole number.
 pub fn from_environment(context: &NodeContext) -> Result<HiddenEffect, NodeError> {
-    match std::env::var(SEED_VARIABLE) {
-        Err(std::env::VarError::NotPresent) => Ok(HiddenEffect::None),
+    effect_of(std::env::var(SEED_VARIABLE), context)
+}
+
+fn effect_of(variable: Result<String, VarError>, context: &NodeContext) -> Result<HiddenEffect, NodeError> {
+    match variable {
+        Err(VarError::NotPresent) => Ok(HiddenEffect::None),
         Ok(text) => text.trim().parse().map(HiddenEffect::draw).map_err(|_| {
             context
                 .parameter_error(format!("the environment's {SEED_VARIABLE} is `{text}`, not a whole number"))
         }),
         Err(error) => Err(context.parameter_error(format!("the environment's {SEED_VARIABLE}: {error}"))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_environment_gives_a_seed_or_nothing() {
+        let context =
+            NodeContext { name: "world".into(), rate: 200.0, seed: 1, parameters: Default::default() };
+        let effect = |text: &str| effect_of(Ok(text.to_owned()), &context);
+        assert_eq!(effect_of(Err(VarError::NotPresent), &context), Ok(HiddenEffect::None));
+        assert_eq!(effect(" 42 "), Ok(HiddenEffect::draw(42)));
+        let error = effect("friction").expect_err("no number").to_string();
+        assert!(error.contains("PARALLAX_HIDDEN_SEED is `friction`"), "{error}");
+    }
+
+    #[test]
+    fn a_truth_reads_as_a_diagnosis_does() {
+        let truth = HiddenEffect::Delay { delay: 0.023_456 }.truth().expect("an effect");
+        assert_eq!(truth.to_string(), "delay@input:voltage (delay 0.0235 s)");
+        assert_eq!(HiddenEffect::None.truth(), None);
     }
 }
