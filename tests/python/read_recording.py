@@ -36,9 +36,7 @@ def main():
             topic["count"] += 1
             topic["messages"].append([message.log_time, message.publish_time, message.sequence, plain(decoded)])
         attachments = {a.name: json.loads(a.data) for a in reader.iter_attachments()}
-    json.dump(
-        {"counted": summary.statistics.message_count, "topics": topics, "attachments": attachments}, sys.stdout
-    )
+    json.dump({"counted": summary.statistics.message_count, "topics": topics, "attachments": attachments}, sys.stdout)
 
 
 main()
