@@ -1,0 +1,140 @@
+//! What the launcher and its nodes say to each other: one JSON object a line, over a socket pair.
+//!
+//! The same socket tells each side that the other is gone: it closes when a process dies, however it dies.
+
+use std::io::{self, Read, Write};
+use std::net::Shutdown;
+use std::os::fd::{AsRawFd, RawFd};
+use std::os::unix::net::UnixStream;
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use super::report::NodeReport;
+use crate::time::Nanos;
+
+/// From the launcher to a node.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum Order {
+    /// Every channel has its subscribers now: connect to them and count them.
+    Connect,
+    /// The run's clock has this epoch: begin when it shows 0.
+    Start { epoch: Nanos },
+    /// The node of this name is gone.
+    SenderDead { node: String },
+    /// Finish the step and end.
+    Stop,
+}
+
+/// From a node to the launcher.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum Answer {
+    /// The node exists and its channels are open.
+    Opened,
+    /// Connected: the number of receivers of its output, and of its records.
+    Connected { receivers: usize, recorders: usize },
+    /// The node cannot go on.
+    Failed { reason: String },
+    /// The node has ended in order.
+    Done { report: Box<NodeReport> },
+}
+
+/// One end of a control socket.
+#[derive(Debug)]
+pub(super) struct Line {
+    stream: UnixStream,
+    /// Bytes of a line that is not complete yet.
+    partial: Vec<u8>,
+    closed: bool,
+}
+
+impl Line {
+    pub(super) fn new(stream: UnixStream) -> Self {
+        Self { stream, partial: Vec::new(), closed: false }
+    }
+
+    pub(super) fn fd(&self) -> RawFd {
+        self.stream.as_raw_fd()
+    }
+
+    /// Whether the other side is gone.
+    pub(super) fn closed(&self) -> bool {
+        self.closed
+    }
+
+    /// Ends the talk: the other side sees the line closed.
+    pub(super) fn hang_up(&mut self) {
+        // It can only fail when the other side is gone already.
+        let _ = self.stream.shutdown(Shutdown::Both);
+        self.closed = true;
+    }
+
+    /// Sends one message. A message to somebody who is gone is not an error here: the end of the line is
+    /// noticed, and reported, where it is read.
+    pub(super) fn send(&mut self, message: &impl Serialize) {
+        let sent = serde_json::to_vec(message).map_err(io::Error::from).and_then(|mut line| {
+            line.push(b'\n');
+            self.stream.write_all(&line)
+        });
+        if sent.is_err() {
+            self.closed = true;
+        }
+    }
+
+    /// Waits at most `milliseconds` for something to read, and gives the messages that are complete.
+    ///
+    /// # Errors
+    ///
+    /// When a line is not one of ours.
+    pub(super) fn receive<T: DeserializeOwned>(
+        &mut self,
+        milliseconds: i32,
+    ) -> Result<Vec<T>, serde_json::Error> {
+        let mut messages = Vec::new();
+        if self.closed || !readable(&[self.fd()], milliseconds) {
+            return Ok(messages);
+        }
+        let mut bytes = [0; 4096];
+        match self.stream.read(&mut bytes) {
+            Ok(0) => self.closed = true,
+            Ok(count) => self.partial.extend_from_slice(&bytes[..count]),
+            Err(e) if matches!(e.kind(), io::ErrorKind::Interrupted | io::ErrorKind::WouldBlock) => {}
+            Err(_) => self.closed = true,
+        }
+        while let Some(end) = self.partial.iter().position(|byte| *byte == b'\n') {
+            let line: Vec<u8> = self.partial.drain(..=end).collect();
+            messages.push(serde_json::from_slice(&line)?);
+        }
+        Ok(messages)
+    }
+}
+
+/// Waits at most `milliseconds` until one of the descriptors can be read or is closed; a signal ends the wait.
+pub(super) fn readable(descriptors: &[RawFd], milliseconds: i32) -> bool {
+    let mut polled: Vec<libc::pollfd> =
+        descriptors.iter().map(|fd| libc::pollfd { fd: *fd, events: libc::POLLIN, revents: 0 }).collect();
+    // SAFETY: the pointer and the length are those of one vector, which outlives the call.
+    unsafe { libc::poll(polled.as_mut_ptr(), polled.len() as libc::nfds_t, milliseconds) > 0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn messages_arrive_whole_and_in_order_and_the_end_is_noticed() {
+        let (here, there) = UnixStream::pair().unwrap();
+        let (mut here, mut there) = (Line::new(here), Line::new(there));
+        here.send(&Order::Connect);
+        here.send(&Order::Start { epoch: -3 });
+        let got: Vec<Order> = there.receive(1000).unwrap();
+        assert_eq!(got, [Order::Connect, Order::Start { epoch: -3 }]);
+        assert_eq!(there.receive::<Order>(0).unwrap(), []);
+        assert!(!there.closed());
+        drop(here);
+        assert_eq!(there.receive::<Order>(1000).unwrap(), []);
+        assert!(there.closed());
+    }
+}

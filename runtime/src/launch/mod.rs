@@ -1,0 +1,128 @@
+//! Runs a graph in real time: one process or thread per node, started together, watched and stopped in order.
+//!
+//! [`run`] makes a corner of shared memory for the run, creates every channel, starts the nodes, checks that
+//! every sender reaches all its receivers, and gives them one common start. It ends when the time is over, on
+//! Ctrl-C, or when a node dies that others need; the recording is complete up to there in every case, and no
+//! shared memory is left.
+//!
+//! A node process is this same program under the hidden subcommand [`NODE_COMMAND`]: its `main` has to call
+//! [`node_main`] there.
+//!
+//! ```no_run
+//! use parallax_runtime::graph::GraphSpec;
+//! use parallax_runtime::launch::{RunOptions, run};
+//! use parallax_runtime::registry::Registry;
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! # let (text, registry) = (String::new(), Registry::new());
+//! let graph = GraphSpec::from_toml(&text)?;
+//! let options = RunOptions {
+//!     duration: Some(20_000_000_000),
+//!     recording: Some("recording.mcap".into()),
+//!     ..RunOptions::default()
+//! };
+//! let report = run(&graph, &registry, options)?;
+//! println!("{} nodes, start-up {} ms", report.nodes.len(), report.startup / 1_000_000);
+//! # Ok(())
+//! # }
+//! ```
+
+mod control;
+mod error;
+mod launcher;
+mod plan;
+mod recorder;
+mod report;
+mod signals;
+mod stepper;
+mod worker;
+mod worker_main;
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::time::Duration;
+
+pub use error::RunError;
+pub use launcher::run;
+pub use report::{End, Exit, NodeReport, Percentiles, RunReport};
+pub use worker_main::{NODE_COMMAND, node_main};
+
+use crate::time::Nanos;
+
+/// How nodes run.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Mode {
+    /// Each in a process of its own: one that crashes takes no other with it.
+    #[default]
+    Processes,
+    /// Each in a thread of this process: quicker to start, and visible to a debugger as one program.
+    Threads,
+}
+
+/// What a run tells while it goes on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Progress {
+    /// Time since the common start; negative before it.
+    pub elapsed: Nanos,
+    /// When the run will end, if that is known.
+    pub duration: Option<Nanos>,
+}
+
+/// Settings of a run.
+pub struct RunOptions {
+    /// How long to run, from the common start; without it, until Ctrl-C.
+    pub duration: Option<Nanos>,
+    /// Seed of the nodes' random streams.
+    pub seed: u64,
+    /// The MCAP file to write.
+    pub recording: Option<PathBuf>,
+    /// Processes or threads.
+    pub mode: Mode,
+    /// Environment variables for the processes of single nodes, by node. They are not recorded.
+    pub private: BTreeMap<String, BTreeMap<String, String>>,
+    /// How long before its time a step stops sleeping and polls instead: punctual to a microsecond, at the
+    /// price of the core's time. For nodes that have a core to themselves.
+    pub spin: Nanos,
+    /// Whether nodes without a core are spread over the cores that exist, or left to the system.
+    pub spread: bool,
+    /// Whether Ctrl-C and requests to terminate stop the run in order.
+    pub signals: bool,
+    /// The program's arguments under which it calls [`node_main`].
+    pub node_command: Vec<String>,
+    /// How long a node may take to be built, to connect, and to end.
+    pub patience: Duration,
+    /// Called about twenty times a second while the run goes on; `false` stops the run.
+    pub progress: Option<Box<dyn FnMut(Progress) -> bool>>,
+}
+
+impl Default for RunOptions {
+    fn default() -> Self {
+        Self {
+            duration: None,
+            seed: 0,
+            recording: None,
+            mode: Mode::default(),
+            private: BTreeMap::new(),
+            spin: 0,
+            spread: true,
+            signals: true,
+            node_command: vec![NODE_COMMAND.into()],
+            patience: Duration::from_secs(10),
+            progress: None,
+        }
+    }
+}
+
+impl std::fmt::Debug for RunOptions {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        // The private variables stay private here too.
+        f.debug_struct("RunOptions")
+            .field("duration", &self.duration)
+            .field("seed", &self.seed)
+            .field("recording", &self.recording)
+            .field("mode", &self.mode)
+            .field("spin", &self.spin)
+            .field("spread", &self.spread)
+            .finish_non_exhaustive()
+    }
+}

@@ -1,0 +1,111 @@
+//! What the launcher and its nodes must agree on: the run's settings, and the channels of a graph.
+
+use serde::{Deserialize, Serialize};
+
+use crate::channel::Topic;
+use crate::graph::{Graph, GraphSpec};
+use crate::node::Layout;
+use crate::time::Nanos;
+
+/// The file in the run's directory that holds a [`RunFile`].
+pub(super) const RUN_FILE: &str = "graph.json";
+
+/// What a node process is told by its launcher.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct RunFile {
+    pub(super) graph: GraphSpec,
+    pub(super) settings: Settings,
+}
+
+/// What holds for all nodes of a run.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct Settings {
+    pub(super) seed: u64,
+    /// No step starts at or after this time.
+    pub(super) duration: Option<Nanos>,
+    pub(super) recording: bool,
+    /// How long before its time a step stops sleeping and polls.
+    pub(super) spin: Nanos,
+    /// Core of each node.
+    pub(super) cores: Vec<Option<usize>>,
+}
+
+/// Words before the payload of a message: its number and the time it was sent.
+pub(super) const MESSAGE_HEAD: usize = 2;
+/// Words before the inputs in the record of a step: kind, number of the record, seq, due, start, end.
+pub(super) const STEP_HEAD: usize = 6;
+/// Words before the messages of an input in the record of a step: superseded, number of messages.
+pub(super) const INPUT_HEAD: usize = 2;
+/// Words of a message in the record of a step: number, sent, received.
+pub(super) const CONSUMED: usize = 3;
+/// The number that stands for "initial message".
+pub(super) const INITIAL: u64 = u64::MAX;
+/// Kinds of records.
+pub(super) const STEP: u64 = 0;
+pub(super) const LOSS: u64 = 1;
+/// Words of the record of a loss: kind, number of the record, input, first, count, time, reason.
+pub(super) const LOSS_WORDS: usize = 7;
+
+/// The channel of a node's output.
+pub(super) fn output(graph: &Graph, node: usize) -> Topic {
+    let plan = &graph.nodes()[node];
+    let rate = graph.spec().nodes[node].rate;
+    let windows = plan.outputs.iter().map(|&connection| graph.connections()[connection].capacity);
+    // A receiver empties its end before each step; while it computes, messages queue here. A quarter of a
+    // second is more than a step of a robot may take, and beyond it the oldest are counted as lost.
+    let queue = windows.max().unwrap_or(1).max((rate * 0.25) as usize).clamp(8, 8192);
+    Topic {
+        name: plan.name.clone(),
+        layout: plan.kind.output().hash(),
+        words: MESSAGE_HEAD + plan.kind.output().leaves.len(),
+        buffer: queue,
+        subscribers: plan.outputs.len(),
+    }
+}
+
+/// The channel of a node's records: its steps with their messages, and its losses.
+pub(super) fn records(graph: &Graph, node: usize) -> Topic {
+    let plan = &graph.nodes()[node];
+    let layout = plan.kind.output();
+    let inputs = plan.inputs.iter().map(|&connection| &graph.connections()[connection]);
+    let words: usize = inputs.map(|input| INPUT_HEAD + CONSUMED * input.window).sum();
+    let description = Layout { name: format!("record of {}", layout.name), leaves: layout.leaves.clone() };
+    Topic {
+        name: format!("{}/record", plan.name),
+        layout: description.hash(),
+        words: (STEP_HEAD + words + layout.leaves.len()).max(LOSS_WORDS),
+        // The recorder may be kept from running, or the disk from writing, for this long.
+        buffer: ((graph.spec().nodes[node].rate * 2.0) as usize).clamp(64, 8192),
+        subscribers: 1,
+    }
+}
+
+/// The name of a node's wake-up.
+pub(super) fn wake(graph: &Graph, node: usize) -> String {
+    format!("{}/wake", graph.nodes()[node].name)
+}
+
+/// The nodes that a node's messages wake, each once.
+pub(super) fn receivers(graph: &Graph, node: usize) -> Vec<usize> {
+    let outputs = &graph.nodes()[node].outputs;
+    let mut receivers: Vec<usize> =
+        outputs.iter().map(|&connection| graph.connections()[connection].to).collect();
+    receivers.sort_unstable();
+    receivers.dedup();
+    receivers
+}
+
+/// How many nodes wake this one.
+pub(super) fn wakers(graph: &Graph, node: usize) -> usize {
+    (0..graph.nodes().len()).filter(|&sender| receivers(graph, sender).contains(&node)).count()
+}
+
+/// Shared memory that a run takes, in bytes, roughly.
+pub(super) fn memory(graph: &Graph, recording: bool) -> u64 {
+    let nodes = 0..graph.nodes().len();
+    // What iceoryx2 keeps for a participant, a wake-up and the files that describe them.
+    let fixed = nodes.len() as u64 * 512 * 1024;
+    let topic =
+        |node| output(graph, node).memory() + if recording { records(graph, node).memory() } else { 0 };
+    fixed + nodes.map(topic).sum::<u64>()
+}

@@ -1,0 +1,220 @@
+//! What a run tells when it is over.
+
+use serde::{Deserialize, Serialize};
+
+use crate::time::Nanos;
+
+/// How one node fared.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct NodeReport {
+    /// Name of the node.
+    pub node: String,
+    /// Core that it was pinned to.
+    pub core: Option<usize>,
+    /// Steps that it made.
+    pub steps: u64,
+    /// Steps that ended after the next one was due.
+    pub overruns: u64,
+    /// How much later than it could have a step began: later than both its due time and the arrival of what
+    /// it waited for.
+    pub lateness: Percentiles,
+    /// How long a step took.
+    pub computation: Percentiles,
+    /// Messages that it sent, and that did not reach a receiver, counted per receiver.
+    pub undelivered: u64,
+    /// Messages that were sent to it and did not arrive, by sender.
+    pub lost: Vec<(String, u64)>,
+    /// How it ended.
+    pub exit: Exit,
+}
+
+/// How a node ended.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Exit {
+    /// In order: the run was over, or it was told to stop.
+    #[default]
+    Clean,
+    /// Its step returned an error, or it could not be built.
+    Failed {
+        /// What the node said.
+        reason: String,
+    },
+    /// A node that it waited for is gone, and it was to stop then.
+    DeadSender {
+        /// That node.
+        sender: String,
+    },
+    /// It died.
+    Died {
+        /// Its process, when it was one.
+        pid: Option<u32>,
+        /// Exit status or signal, in words.
+        status: String,
+    },
+}
+
+impl std::fmt::Display for Exit {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Exit::Clean => write!(f, "ended in order"),
+            Exit::Failed { reason } => write!(f, "failed: {reason}"),
+            Exit::DeadSender { sender } => write!(f, "stopped because {sender} is gone"),
+            Exit::Died { pid: Some(pid), status } => write!(f, "process {pid} died ({status})"),
+            Exit::Died { pid: None, status } => write!(f, "died ({status})"),
+        }
+    }
+}
+
+/// Why a run ended.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum End {
+    /// The time was over.
+    Duration,
+    /// Somebody asked: Ctrl-C, or a signal to terminate.
+    Signal,
+    /// The recording could not be written any further.
+    Recorder,
+    /// A node ended that others depend on.
+    Node {
+        /// Its name.
+        node: String,
+    },
+}
+
+/// What a run tells when it is over.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RunReport {
+    /// Name of the graph.
+    pub graph: String,
+    /// Why the run ended.
+    pub end: End,
+    /// Length of the run in nanoseconds, from the common start to the order to stop.
+    pub duration: Nanos,
+    /// Nanoseconds from the call to the common start: making channels, starting and connecting the nodes.
+    pub startup: Nanos,
+    /// Bytes of shared memory that the run took.
+    pub shared_memory: u64,
+    /// The nodes, in the graph's order.
+    pub nodes: Vec<NodeReport>,
+    /// Records of steps that did not reach the recorder, by node.
+    pub records_lost: Vec<(String, u64)>,
+    /// Things worth knowing that hinder nothing, such as shared cores.
+    pub warnings: Vec<String>,
+}
+
+impl RunReport {
+    /// What ended the run before its time, in words: the node, how it ended, and what to look at.
+    pub fn failure(&self) -> Option<String> {
+        let End::Node { node } = &self.end else { return None };
+        let exit = self.nodes.iter().find(|report| report.node == *node).map(|report| &report.exit)?;
+        Some(format!(
+            "node {node}: {exit}. The others were stopped in order, and what was recorded is complete"
+        ))
+    }
+
+    /// Whether every node ended in order and nothing was lost.
+    pub fn clean(&self) -> bool {
+        self.records_lost.is_empty()
+            && self.nodes.iter().all(|n| n.exit == Exit::Clean && n.undelivered == 0 && n.lost.is_empty())
+    }
+}
+
+/// Percentiles of a duration, in nanoseconds, to within an eighth.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Percentiles {
+    /// Half of the values are smaller.
+    pub p50: Nanos,
+    /// 99 of 100 are smaller.
+    pub p99: Nanos,
+    /// The largest, exactly.
+    pub max: Nanos,
+}
+
+/// Counts durations in bins whose width grows with the duration, so that counting allocates nothing.
+#[derive(Debug, Clone)]
+pub(super) struct Histogram {
+    counts: [u64; Self::BINS],
+    total: u64,
+    max: Nanos,
+}
+
+impl Histogram {
+    /// Eight bins for each power of two.
+    const BINS: usize = 8 * 62;
+
+    pub(super) fn new() -> Self {
+        Self { counts: [0; Self::BINS], total: 0, max: 0 }
+    }
+
+    /// Counts one duration; negative ones count as 0.
+    pub(super) fn add(&mut self, duration: Nanos) {
+        let duration = duration.max(0);
+        self.counts[Self::bin(duration)] += 1;
+        self.total += 1;
+        self.max = self.max.max(duration);
+    }
+
+    fn bin(duration: Nanos) -> usize {
+        let value = duration as u64;
+        if value < 8 {
+            return value as usize;
+        }
+        let power = 63 - value.leading_zeros() as usize;
+        (power - 2) * 8 + ((value >> (power - 3)) & 7) as usize
+    }
+
+    /// The smallest duration of a bin.
+    fn lower(bin: usize) -> Nanos {
+        if bin < 8 { bin as Nanos } else { (8 + bin as Nanos % 8) << (bin / 8 - 1) }
+    }
+
+    pub(super) fn percentiles(&self) -> Percentiles {
+        let at = |share: f64| {
+            let wanted = (share * self.total as f64).ceil() as u64;
+            let mut seen = 0;
+            for (bin, count) in self.counts.iter().enumerate() {
+                seen += count;
+                if seen >= wanted && *count > 0 {
+                    return Self::lower(bin);
+                }
+            }
+            0
+        };
+        if self.total == 0 {
+            Percentiles::default()
+        } else {
+            Percentiles { p50: at(0.5), p99: at(0.99), max: self.max }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn a_bin_holds_its_values_to_an_eighth(value in 0..i64::MAX) {
+            let bin = Histogram::bin(value);
+            prop_assert!(bin < Histogram::BINS);
+            let lower = Histogram::lower(bin);
+            prop_assert!(lower <= value && value - lower <= value / 8);
+        }
+
+        #[test]
+        fn percentiles_are_those_of_the_sorted_values(mut values in prop::collection::vec(0i64..10_000_000_000, 1..200)) {
+            let mut histogram = Histogram::new();
+            values.iter().for_each(|value| histogram.add(*value));
+            values.sort_unstable();
+            let got = histogram.percentiles();
+            for (share, got) in [(0.5, got.p50), (0.99, got.p99)] {
+                let exact = values[(share * values.len() as f64).ceil() as usize - 1];
+                prop_assert!(got <= exact && exact - got <= exact / 8);
+            }
+            prop_assert_eq!(got.max, values[values.len() - 1]);
+        }
+    }
+}

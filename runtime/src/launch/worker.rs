@@ -1,0 +1,163 @@
+//! One running node as the launcher sees it: a process or a thread, and the line to it.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::os::fd::{AsFd, OwnedFd};
+use std::os::unix::net::UnixStream;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use super::control::{Answer, Line, Order};
+use super::report::Exit;
+
+/// A running node.
+#[derive(Debug)]
+pub(super) struct Worker {
+    pub(super) node: String,
+    pub(super) line: Line,
+    body: Body,
+    /// How it ended, once that has been found out.
+    ended: Option<Exit>,
+}
+
+#[derive(Debug)]
+enum Body {
+    Process(Child),
+    Thread(Option<JoinHandle<()>>),
+}
+
+impl Worker {
+    /// Starts a node as a process of this program.
+    ///
+    /// `command` is the program's hidden subcommand; the run's directory and the node's name follow it.
+    pub(super) fn process(
+        command: &[String],
+        run: &Path,
+        node: &str,
+        private: &BTreeMap<String, String>,
+    ) -> io::Result<Self> {
+        let (here, there) = UnixStream::pair()?;
+        // Not the path that the program was started by: it may have been rebuilt since, or removed.
+        let mut process = Command::new("/proc/self/exe");
+        if let Some(name) = std::env::args_os().next() {
+            process.arg0(name);
+        }
+        let child = process
+            .args(command)
+            .arg("--run-dir")
+            .arg(run)
+            .arg("--node")
+            .arg(node)
+            .envs(private)
+            .stdin(Stdio::from(OwnedFd::from(there)))
+            // What a node prints must not get between the lines that a script reads from the launcher.
+            .stdout(Stdio::from(io::stderr().as_fd().try_clone_to_owned()?))
+            // A Ctrl-C at the terminal goes to the launcher, which stops the nodes in order.
+            .process_group(0)
+            .spawn()?;
+        Ok(Self { node: node.into(), line: Line::new(here), body: Body::Process(child), ended: None })
+    }
+
+    /// Starts a node as a thread that runs `body` with its end of the line.
+    pub(super) fn thread(node: &str, body: impl FnOnce(UnixStream) + Send + 'static) -> io::Result<Self> {
+        let (here, there) = UnixStream::pair()?;
+        let handle = std::thread::Builder::new().name(node.into()).spawn(move || body(there))?;
+        Ok(Self { node: node.into(), line: Line::new(here), body: Body::Thread(Some(handle)), ended: None })
+    }
+
+    /// Its process, when it is one.
+    pub(super) fn pid(&self) -> Option<u32> {
+        match &self.body {
+            Body::Process(child) => Some(child.id()),
+            Body::Thread(_) => None,
+        }
+    }
+
+    pub(super) fn order(&mut self, order: &Order) {
+        self.line.send(order);
+    }
+
+    /// Lets it go: a node ends when its line is closed.
+    pub(super) fn hang_up(&mut self) {
+        self.line.hang_up();
+    }
+
+    /// What it says, waiting for nothing.
+    pub(super) fn answers(&mut self) -> Vec<Answer> {
+        // A line that is no answer comes from a process that is not ours: it counts as silence, and the
+        // launcher's patience ends the run.
+        self.line.receive(0).unwrap_or_default()
+    }
+
+    /// How it died, if it is dead. To be asked when its line is closed, and after its last answers are read.
+    pub(super) fn death(&mut self) -> Option<Exit> {
+        if self.ended.is_none() {
+            self.ended = self.look();
+        }
+        self.ended.clone()
+    }
+
+    fn look(&mut self) -> Option<Exit> {
+        match &mut self.body {
+            Body::Process(child) => {
+                let pid = Some(child.id());
+                let status = child.try_wait().ok()??;
+                Some(Exit::Died { pid, status: describe(status) })
+            }
+            Body::Thread(handle) => {
+                if handle.as_ref().is_some_and(|handle| !handle.is_finished()) {
+                    return None;
+                }
+                let status = match handle.take().map(JoinHandle::join) {
+                    Some(Err(panic)) => {
+                        let text = panic.downcast_ref::<String>().map(String::as_str);
+                        let text = text.or_else(|| panic.downcast_ref::<&str>().copied());
+                        format!("panicked: {}", text.unwrap_or("without a message"))
+                    }
+                    _ => "its thread ended".into(),
+                };
+                Some(Exit::Died { pid: None, status })
+            }
+        }
+    }
+
+    /// Waits for its end, at most this long; says whether it came.
+    pub(super) fn join(&mut self, patience: Duration) -> bool {
+        let start = Instant::now();
+        loop {
+            if self.death().is_some() {
+                return true;
+            }
+            if start.elapsed() > patience {
+                break;
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        false
+    }
+}
+
+impl Drop for Worker {
+    fn drop(&mut self) {
+        // However the launcher leaves, no process of the run outlives it.
+        if let Body::Process(child) = &mut self.body {
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
+}
+
+/// An exit status in words.
+fn describe(status: ExitStatus) -> String {
+    match (status.code(), status.signal()) {
+        (Some(code), _) => format!("exit status {code}"),
+        (None, Some(signal)) => {
+            let name = signal_hook::low_level::signal_name(signal).unwrap_or("unknown");
+            format!("signal {signal}, {name}")
+        }
+        (None, None) => "unknown status".into(),
+    }
+}

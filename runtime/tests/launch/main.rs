@@ -1,0 +1,51 @@
+//! Runs of real processes and threads, as a user sees them: what is recorded, what is reported, what stays behind.
+//!
+//! This program is its own node binary: under the hidden subcommand it runs a node.
+
+mod allocation;
+mod failures;
+mod nodes;
+mod runs;
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::process::ExitCode;
+
+use parallax_runtime::launch::{NODE_COMMAND, node_main};
+
+#[global_allocator]
+static ALLOCATOR: allocation::Counting = allocation::Counting;
+
+type Test = (&'static str, fn());
+
+fn main() -> ExitCode {
+    let mut arguments = std::env::args().skip(1);
+    let first = arguments.next();
+    if first.as_deref() == Some(NODE_COMMAND) {
+        return node_main(arguments, &nodes::registry());
+    }
+    if first.as_deref() == Some(failures::LAUNCHER_COMMAND) {
+        return failures::launcher(arguments);
+    }
+    let filter = first.filter(|argument| !argument.starts_with('-')).unwrap_or_default();
+    let tests: Vec<Test> = [runs::TESTS, failures::TESTS, allocation::TESTS].concat();
+    let chosen: Vec<&Test> = tests.iter().filter(|(name, _)| name.contains(&filter)).collect();
+    if std::env::args().any(|argument| argument == "--list") {
+        chosen.iter().for_each(|(name, _)| println!("{name}: test"));
+        return ExitCode::SUCCESS;
+    }
+    let mut failed = Vec::new();
+    for (name, test) in &chosen {
+        let before = nodes::shared_memory();
+        let passed = catch_unwind(AssertUnwindSafe(test)).is_ok();
+        let clean = nodes::shared_memory() == before;
+        println!("test {name} ... {}", if passed && clean { "ok" } else { "FAILED" });
+        if !clean {
+            println!("  left in shared memory: {:?}", nodes::shared_memory());
+        }
+        if !(passed && clean) {
+            failed.push(name);
+        }
+    }
+    println!("{} passed, {} failed: {failed:?}", chosen.len() - failed.len(), failed.len());
+    if failed.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}

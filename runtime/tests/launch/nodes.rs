@@ -1,0 +1,140 @@
+//! The nodes of these tests, their graphs, and a look into shared memory.
+
+use std::collections::BTreeSet;
+
+use parallax_model::tree::Tree;
+use parallax_runtime::graph::{ConnectionSpec, GraphSpec, NodeSpec};
+use parallax_runtime::node::{Message, Node, NodeError, Port, Step};
+use parallax_runtime::registry::{NodeKind, Registry};
+
+/// One number.
+#[derive(Tree, Clone, Default)]
+pub struct Number<T> {
+    pub value: T,
+}
+
+impl Message for Number<f64> {
+    const NAME: &'static str = "test/Number";
+}
+
+pub const SOURCE: Port<Number<f64>> = Port::new("source");
+
+/// Sends the number of its step, and does what its parameters say at one of them.
+struct Counter {
+    trouble: Trouble,
+}
+
+#[derive(serde::Deserialize, Default)]
+#[serde(deny_unknown_fields, default)]
+struct Trouble {
+    /// Step at which something happens; none by default.
+    at: Option<u64>,
+    /// What happens: "kill", "exit", "panic", "error", "hang".
+    what: String,
+}
+
+impl Node for Counter {
+    type Output = Number<f64>;
+
+    fn step(&mut self, step: &Step<'_>) -> Result<Number<f64>, NodeError> {
+        if self.trouble.at == Some(step.seq) {
+            match &*self.trouble.what {
+                // SAFETY: the call takes an integer and ends this process, which is what the test wants.
+                "kill" => unsafe { drop(libc::raise(libc::SIGKILL)) },
+                "exit" => std::process::exit(3),
+                "panic" => panic!("the test wants it"),
+                "error" => return Err(NodeError::failed("the motor is on fire")),
+                "hang" => std::thread::sleep(std::time::Duration::from_secs(3600)),
+                other => panic!("unknown trouble {other}"),
+            }
+        }
+        Ok(Number { value: step.seq as f64 })
+    }
+}
+
+/// Sends the newest number of its source plus one; -1 before any has come.
+struct Adder;
+
+impl Node for Adder {
+    type Output = Number<f64>;
+
+    fn step(&mut self, step: &Step<'_>) -> Result<Number<f64>, NodeError> {
+        let latest = step.latest(SOURCE);
+        Ok(Number { value: if latest.seq.is_some() { latest.message.value + 1.0 } else { -1.0 } })
+    }
+}
+
+/// Sends a number that only its environment holds.
+struct Secret(f64);
+
+impl Node for Secret {
+    type Output = Number<f64>;
+
+    fn step(&mut self, _: &Step<'_>) -> Result<Number<f64>, NodeError> {
+        Ok(Number { value: self.0 })
+    }
+}
+
+pub const SECRET: &str = "TEST_NODE_SECRET";
+
+pub fn registry() -> Registry {
+    Registry::new()
+        .with("counter", NodeKind::new(|context| Ok(Counter { trouble: context.parameters()? })))
+        .with("adder", NodeKind::new(|_| Ok(Adder)).input(SOURCE))
+        .with(
+            "secret",
+            NodeKind::new(|_| {
+                let value = std::env::var(SECRET).ok().and_then(|text| text.parse().ok());
+                Ok(Secret(value.ok_or_else(|| NodeError::failed("no secret was passed"))?))
+            }),
+        )
+        .with("allocations", NodeKind::new(|_| Ok(crate::allocation::Counted)).input(SOURCE))
+        .with(
+            "unbuildable",
+            NodeKind::new(|_| -> Result<Adder, NodeError> {
+                Err(NodeError::failed("the camera is not plugged in"))
+            }),
+        )
+}
+
+/// A counter at 200 Hz, and an adder at 100 Hz that waits for it.
+pub fn graph() -> GraphSpec {
+    let mut connection = ConnectionSpec::new("counter", "adder");
+    connection.port = Some("source".into());
+    connection.blocking = true;
+    connection.window = 2;
+    GraphSpec {
+        name: "counting".into(),
+        supervisor: "adder".into(),
+        nodes: vec![NodeSpec::new("counter", "counter", 200.0), NodeSpec::new("adder", "adder", 100.0)],
+        connections: vec![connection],
+        plant: None,
+    }
+}
+
+/// [`graph`], and something happens to its counter at a step.
+pub fn troubled(what: &str, at: u64) -> GraphSpec {
+    let mut graph = graph();
+    let parameters = &mut graph.node_mut("counter").unwrap().parameters;
+    parameters.insert("what".into(), what.into());
+    parameters.insert("at".into(), at.into());
+    graph
+}
+
+/// What of Parallax lies in shared memory.
+pub fn shared_memory() -> BTreeSet<String> {
+    let mut found = BTreeSet::new();
+    for folder in std::fs::read_dir("/dev/shm").unwrap().flatten() {
+        let name = folder.file_name().to_string_lossy().into_owned();
+        if name.starts_with("parallax-") {
+            for run in std::fs::read_dir(folder.path()).into_iter().flatten().flatten() {
+                found.insert(format!("{name}/{}", run.file_name().to_string_lossy()));
+            }
+        } else if name.starts_with("plx") {
+            found.insert(name);
+        }
+    }
+    // The lock under which runs are made stays; a run of somebody else at the same time is not ours to judge.
+    found.retain(|name| !name.ends_with("/guard") && name.contains(&format!("{}-", std::process::id())));
+    found
+}
