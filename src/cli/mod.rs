@@ -1,16 +1,20 @@
 //! The commands. They wire the crates together; what they do is there.
 
 mod args;
+mod demo;
+mod diagnose;
 mod failure;
 mod import;
 mod info;
 mod output;
 mod replay;
+mod run;
 mod sim;
 
 use std::process::ExitCode;
 
 use clap::{ArgAction, Parser, Subcommand};
+use parallax_runtime::launch::{NODE_COMMAND, node_main};
 use tracing_subscriber::EnvFilter;
 
 const EXIT_CODES: &str = "\
@@ -24,7 +28,7 @@ Exit codes:
 /// Runs a robot as a graph of nodes, replays it exactly under a simulated clock, and says where simulation and reality
 /// part, why, and how much of the gap a cause explains.
 #[derive(Parser)]
-#[command(name = "parallax", version, about, after_help = EXIT_CODES, propagate_version = true)]
+#[command(name = "parallax", version, after_help = EXIT_CODES, propagate_version = true)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -35,6 +39,12 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    /// Run a machine with a hidden flaw, record, replay and diagnose it.
+    #[command(after_help = EXIT_CODES)]
+    Demo(demo::Arguments),
+    /// Run a graph in real time, each node a process.
+    #[command(after_help = EXIT_CODES)]
+    Run(run::Arguments),
     /// Run a graph under a simulated clock.
     #[command(after_help = EXIT_CODES)]
     Sim(sim::Arguments),
@@ -47,6 +57,16 @@ enum Command {
     /// Say what is in a recording, a folder of logs, a graph or a system.
     #[command(after_help = EXIT_CODES)]
     Info(info::Arguments),
+    /// Say where a recording and its simulator part, why, and how far.
+    #[command(after_help = EXIT_CODES)]
+    Diagnose(diagnose::Arguments),
+    /// One node of a run; the launcher starts it.
+    #[command(name = NODE_COMMAND, hide = true)]
+    Node {
+        /// What the launcher says.
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
+    },
 }
 
 /// Reads the command line and does what it says.
@@ -57,6 +77,10 @@ pub(crate) fn main() -> ExitCode {
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
 
     let result = match cli.command {
+        Command::Node { arguments } => return node_main(arguments.into_iter(), &parallax_nodes::registry()),
+        Command::Demo(arguments) => demo::run(&arguments),
+        Command::Run(arguments) => run::run(&arguments),
+        Command::Diagnose(arguments) => diagnose::run(&arguments),
         Command::Sim(arguments) => sim::run(&arguments),
         Command::Replay(arguments) => replay::run(&arguments),
         Command::Import(arguments) => import::run(&arguments),

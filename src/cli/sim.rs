@@ -137,7 +137,7 @@ struct Watched<S> {
 impl<S: RecordingSink> RecordingSink for Watched<S> {
     fn message(&mut self, node: usize, seq: u64, sent: Nanos, payload: &[f64]) -> Result<(), SinkError> {
         // A redraw for each message would cost more than the simulation.
-        if seq % 64 == 0 {
+        if seq.is_multiple_of(64) {
             self.bar.set_position(sent.max(0).unsigned_abs());
         }
         self.sink.message(node, seq, sent, payload)

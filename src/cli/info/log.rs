@@ -32,6 +32,18 @@ fn duration(log: &Log) -> f64 {
     log.span().map_or(0.0, |(first, last)| to_seconds(last - first))
 }
 
+/// A number with five significant digits.
+fn number(value: f64) -> String {
+    let digits = 4.0 - value.abs().log10().floor();
+    if value == 0.0 {
+        "0".into()
+    } else if (0.0..=9.0).contains(&digits) {
+        format!("{value:.0$}", digits as usize)
+    } else {
+        format!("{value:.4e}")
+    }
+}
+
 /// The signals as a table, and the notes.
 pub(super) fn signals(log: &Log) {
     let rows: Vec<Vec<String>> = log
@@ -46,8 +58,8 @@ pub(super) fn signals(log: &Log) {
                 signal.unit.clone(),
                 signal.values.len().to_string(),
                 signal.rate().map_or_else(String::new, |rate| format!("{rate:.2}")),
-                if signal.values.is_empty() { String::new() } else { format!("{low:.4}") },
-                if signal.values.is_empty() { String::new() } else { format!("{high:.4}") },
+                if signal.values.is_empty() { String::new() } else { number(low) },
+                if signal.values.is_empty() { String::new() } else { number(high) },
             ]
         })
         .collect();

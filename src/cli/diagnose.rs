@@ -1,0 +1,218 @@
+//! `parallax diagnose`: where a recording and its simulator part, why, and how far.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, anyhow};
+use clap::Args;
+use parallax_gap::diagnosis::{Diagnosis, Options, diagnose};
+use parallax_gap::report::Report;
+use parallax_gap::sentence::with_uncertainty;
+use parallax_model::system::System;
+use parallax_runtime::import::{self, read_system_text};
+use parallax_runtime::recording::Recording;
+use parallax_runtime::recording::log::Log;
+
+use super::failure::{Failure, Outcome, Sort};
+use super::output;
+
+#[derive(Args)]
+pub(crate) struct Arguments {
+    /// A recording (.mcap), or a folder with recording.toml.
+    #[arg(required = true)]
+    recordings: Vec<PathBuf>,
+    /// What the simulator believes: a system.toml, in place of the one attached to the recording.
+    #[arg(long, value_name = "FILE")]
+    system: Option<PathBuf>,
+    /// The folder for report.json, report.html and system.corrected.toml.
+    #[arg(long, value_name = "DIR", default_value = "out/diagnosis")]
+    out: PathBuf,
+    /// How far ahead predictions are scored; by default a quarter of a second, or ten samples if that is longer.
+    #[arg(long, value_name = "SECONDS")]
+    horizon: Option<f64>,
+    /// Seed of the simulated comparisons.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Print report.json instead of the short answer.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
+    let [path] = &arguments.recordings[..] else {
+        return Err(Failure::input(anyhow!(
+            "{} recordings were given; this version diagnoses one at a time",
+            arguments.recordings.len()
+        )));
+    };
+    if arguments.horizon.is_some_and(|horizon| !(horizon.is_finite() && horizon > 0.0)) {
+        return Err(Failure::input(anyhow!("--horizon must be above zero and finite")));
+    }
+    let loaded = Loaded::read(path, arguments.system.as_deref())?;
+    let options = Options { horizon: arguments.horizon, seed: arguments.seed };
+    let report = loaded.diagnose(&options, &arguments.out)?;
+    if arguments.json {
+        output::json(&report)?;
+    } else {
+        print(&report);
+        output::line(format!("written to {}", arguments.out.display()));
+    }
+    Ok(Outcome::Done)
+}
+
+/// A log and the system that is believed of it.
+pub(crate) struct Loaded {
+    log: Log,
+    /// The text that a corrected system is made from.
+    text: String,
+    system: System,
+}
+
+impl Loaded {
+    /// Reads a recording and its system: the one at `system`, or the one attached to the recording.
+    pub(crate) fn read(path: &Path, system: Option<&Path>) -> Result<Self, Failure> {
+        let (log, attached) = if path.is_dir() {
+            (import::folder(path).input()?, None)
+        } else {
+            let recording = Recording::read(path).input()?;
+            (recording.log(), recording.graph.plant.map(|plant| plant.system))
+        };
+        for note in &log.notes {
+            eprintln!("note: {note}");
+        }
+        let (text, system) = match (system, attached) {
+            (Some(system), _) => read_system_text(system).input()?,
+            (None, Some(text)) => {
+                let system =
+                    System::parse(&text, &format!("{} (attached system)", path.display())).input()?;
+                (text, system)
+            }
+            (None, None) => {
+                return Err(Failure::input(anyhow!(
+                    "{} does not say what its simulator believes; give a system.toml with --system{}",
+                    path.display(),
+                    nearby(path)
+                )));
+            }
+        };
+        Ok(Self { log, text, system })
+    }
+
+    /// Diagnoses, and leaves report.json, report.html and system.corrected.toml in `out`.
+    pub(crate) fn diagnose(&self, options: &Options, out: &Path) -> Result<Report, Failure> {
+        std::fs::create_dir_all(out)
+            .with_context(|| format!("the folder {} cannot be made", out.display()))
+            .map_err(Failure::input)?;
+        let bar = output::progress("diagnosing", 1000);
+        let watch = |done: f64, what: &str| {
+            bar.set_position((done * 1000.0) as u64);
+            bar.set_message(format!("diagnosing: {what}"));
+        };
+        let diagnosis = diagnose(&self.system, &self.log, options, &watch).input()?;
+        bar.finish_and_clear();
+        self.write(diagnosis, out)
+    }
+
+    fn write(&self, diagnosis: Diagnosis, out: &Path) -> Result<Report, Failure> {
+        let Diagnosis { mut report, calibrated, effects, .. } = diagnosis;
+        let save = |name: &str, text: &str| {
+            let path = out.join(name);
+            std::fs::write(&path, text)
+                .with_context(|| format!("{} cannot be written", path.display()))
+                .map_err(Failure::input)
+        };
+        // What a recording's constants supply is not the file's to correct.
+        let stated = |(name, _): &(String, f64)| self.system.parameter(name).is_some();
+        let calibrated: Vec<(String, f64)> = calibrated.into_iter().filter(stated).collect();
+        match self.system.corrected(&self.text, &calibrated, &effects) {
+            Ok(text) => {
+                save(CORRECTED, &text)?;
+                report.corrected_system = Some(CORRECTED.into());
+            }
+            Err(error) => eprintln!("warning: no corrected system is written: {error}"),
+        }
+        save("report.json", &serde_json::to_string_pretty(&report).map_err(Failure::runtime)?)?;
+
+        Ok(report)
+    }
+}
+
+/// The nominal file with what was found.
+const CORRECTED: &str = "system.corrected.toml";
+
+/// A system.toml beside the folder is probably meant.
+fn nearby(path: &Path) -> String {
+    let places = [path.join("system.toml"), path.join("..").join("system.toml")];
+    let found = places.iter().find(|place| place.exists());
+    found.map_or_else(String::new, |place| format!(", such as {}", place.display()))
+}
+
+/// The short answer.
+pub(crate) fn print(report: &Report) {
+    output::line(&report.summary);
+    output::line("");
+    let rows: Vec<Vec<String>> = report
+        .which
+        .iter()
+        .take(5)
+        .map(|which| {
+            let effects: Vec<String> =
+                which.effects.iter().map(|e| format!("{}@{}", e.name, e.place)).collect();
+            let values: Vec<String> = which
+                .effects
+                .iter()
+                .flat_map(|e| &e.parameters)
+                .map(|(name, value)| format!("{name} {}", with_uncertainty(value)))
+                .collect();
+            let others = which.class.iter().filter(|name| !effects.contains(name));
+            vec![
+                percent(which.probability),
+                if effects.is_empty() { "no gap".into() } else { effects.join(" + ") },
+                values.join(", "),
+                others.cloned().collect::<Vec<_>>().join(", "),
+            ]
+        })
+        .chain([vec![
+            percent(report.unexplained.probability),
+            "none of these".into(),
+            String::new(),
+            String::new(),
+        ]])
+        .collect();
+    output::table(&["probability", "cause", "", "cannot be told from"], &rows);
+    let rows: Vec<Vec<String>> = report
+        .calibration
+        .iter()
+        .map(|c| {
+            let value = parallax_gap::report::Value { value: c.value, std: c.std, unit: c.unit.clone() };
+            vec![c.name.clone(), c.nominal.to_string(), with_uncertainty(&value)]
+        })
+        .collect();
+    if !rows.is_empty() {
+        output::line("");
+        output::table(&["calibrated", "nominal", "fitted"], &rows);
+    }
+    let far = &report.how_far;
+    output::line("");
+    output::line(format!(
+        "prediction {} ahead on held-out time, in units of the noise: nominal {:.3}, refitted {:.3}, with the cause {:.3}, \
+         black box {:.3}",
+        output::seconds(far.horizon_s),
+        far.nominal,
+        far.refitted,
+        far.with_effect,
+        far.black_box
+    ));
+    output::line(format!(
+        "closed: {} % of the whole gap, {} % of what calibration leaves",
+        interval(&far.closed_total),
+        interval(&far.closed_by_effect)
+    ));
+}
+
+fn percent(share: f64) -> String {
+    format!("{:.1} %", 100.0 * share)
+}
+
+fn interval(interval: &parallax_gap::report::Interval) -> String {
+    format!("{:.1} ({:.1} to {:.1})", 100.0 * interval.value, 100.0 * interval.low, 100.0 * interval.high)
+}

@@ -1,0 +1,159 @@
+//! `parallax run`: a graph in real time, one process for each node.
+
+use std::path::PathBuf;
+
+use anyhow::anyhow;
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use parallax_runtime::launch::{self, End, Mode, RunError, RunOptions, RunReport};
+use parallax_runtime::time::{Nanos, to_seconds};
+
+use super::args::{NodeChange, duration, graph_spec, make_parent};
+use super::failure::{Failure, Outcome};
+use super::output;
+
+#[derive(Args)]
+pub(crate) struct Arguments {
+    /// A graph.toml, or `pendulum`.
+    graph: String,
+    /// How long to run; without it, until Ctrl-C.
+    #[arg(long, value_name = "SECONDS", value_parser = duration)]
+    duration: Option<Nanos>,
+    /// Seed of the nodes' random streams.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// The recording to write.
+    #[arg(long, value_name = "FILE.mcap")]
+    out: Option<PathBuf>,
+    /// Record to out/GRAPH/recording.mcap.
+    #[arg(long, conflicts_with = "out")]
+    record: bool,
+    /// Change a node: its rate, core or a parameter of its kind.
+    #[arg(long = "node", value_name = "NODE.KEY=VALUE")]
+    changes: Vec<NodeChange>,
+    /// Run the nodes as threads of one process.
+    #[arg(long)]
+    threads: bool,
+    /// How long before its time a step polls instead of sleeping, for nodes with a core of their own.
+    #[arg(long, value_name = "SECONDS", value_parser = duration)]
+    spin: Option<Nanos>,
+    /// Leave nodes without a core to the system instead of spreading them over the cores.
+    #[arg(long)]
+    no_spread: bool,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
+    let spec = graph_spec(&arguments.graph, &arguments.changes)?;
+    let out = match &arguments.out {
+        None if arguments.record => Some(PathBuf::from("out").join(&spec.name).join("recording.mcap")),
+        out => out.clone(),
+    };
+    if let Some(out) = &out {
+        make_parent(out)?;
+    }
+    let bar = bar(&spec.name, arguments.duration);
+    let options = RunOptions {
+        duration: arguments.duration,
+        seed: arguments.seed,
+        recording: out.clone(),
+        mode: if arguments.threads { Mode::Threads } else { Mode::Processes },
+        spin: arguments.spin.unwrap_or(0),
+        spread: !arguments.no_spread,
+        progress: Some(watch(&bar)),
+        ..RunOptions::default()
+    };
+    let report = launch::run(&spec, &parallax_nodes::registry(), options).map_err(sort)?;
+    bar.finish_and_clear();
+    if arguments.json {
+        output::json(&report)?;
+    } else {
+        print(&report);
+        if let Some(out) = out {
+            output::line(format!("recorded to {}", out.display()));
+        }
+    }
+    ended(&report)
+}
+
+/// A bar that fills over the duration, or turns until Ctrl-C.
+pub(crate) fn bar(graph: &str, duration: Option<Nanos>) -> ProgressBar {
+    match duration {
+        Some(duration) => output::progress(&format!("running {graph}"), duration.unsigned_abs()),
+        None => {
+            let bar = output::progress(&format!("running {graph} until Ctrl-C"), 0);
+            bar.set_style(ProgressStyle::default_spinner());
+            bar
+        }
+    }
+}
+
+/// Moves the bar while the run goes on.
+pub(crate) fn watch(bar: &ProgressBar) -> Box<dyn FnMut(launch::Progress) -> bool> {
+    let bar = bar.clone();
+    Box::new(move |progress| {
+        bar.set_position(progress.elapsed.max(0).unsigned_abs());
+        true
+    })
+}
+
+/// What the graph says wrong is bad input; what goes wrong on this machine is not.
+pub(crate) fn sort(error: RunError) -> Failure {
+    match error {
+        RunError::Graph(_) | RunError::PrivateForNobody { .. } => Failure::input(error),
+        _ => Failure::runtime(error),
+    }
+}
+
+/// What the end of a run means for the command.
+pub(crate) fn ended(report: &RunReport) -> Result<Outcome, Failure> {
+    match &report.end {
+        End::Duration => Ok(Outcome::Done),
+        End::Signal => Ok(Outcome::Interrupted),
+        End::Recorder => Err(Failure::runtime(anyhow!(
+            "the recording could not be written any further, so the run was stopped; is the disk full?"
+        ))),
+        End::Node { node } => {
+            Err(Failure::runtime(anyhow!(report.failure().unwrap_or_else(|| format!("node {node} ended")))))
+        }
+    }
+}
+
+fn print(report: &RunReport) {
+    for warning in &report.warnings {
+        eprintln!("warning: {warning}");
+    }
+    output::line(format!(
+        "{}: {:.3} s, started in {}, {:.1} MiB of shared memory",
+        report.graph,
+        to_seconds(report.duration),
+        output::seconds(to_seconds(report.startup)),
+        report.shared_memory as f64 / 1_048_576.0
+    ));
+    let rows: Vec<Vec<String>> = report
+        .nodes
+        .iter()
+        .map(|node| {
+            let lost: u64 = node.lost.iter().map(|(_, count)| count).sum();
+            let time = |nanos: Nanos| output::seconds(to_seconds(nanos));
+            vec![
+                node.node.clone(),
+                node.core.map_or_else(|| "any".into(), |core| core.to_string()),
+                node.steps.to_string(),
+                node.overruns.to_string(),
+                time(node.lateness.p50),
+                time(node.lateness.p99),
+                time(node.computation.p50),
+                time(node.computation.p99),
+                lost.to_string(),
+                node.exit.to_string(),
+            ]
+        })
+        .collect();
+    output::table(
+        &["node", "core", "steps", "overruns", "late", "99 %", "computation", "99 %", "lost", "end"],
+        &rows,
+    );
+}
