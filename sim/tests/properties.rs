@@ -1,0 +1,216 @@
+//! What holds for every valid graph, tried on random ones.
+
+use std::collections::BTreeMap;
+
+use parallax_runtime::delay::Delay;
+use parallax_runtime::graph::{ConnectionSpec, Graph, GraphSpec, JitterPolicy, NodeSpec, Scheduling};
+use parallax_runtime::node::{ErasedNode, Layout, NodeError, Step};
+use parallax_runtime::recording::{MemorySink, Recording};
+use parallax_runtime::registry::{NodeKind, Registry};
+use parallax_runtime::schedule::verify;
+use parallax_sim::{Executor, Outcome, ReplayOptions, replay};
+use proptest::prelude::*;
+
+const DURATION: i64 = 700_000_000;
+const MOST_NODES: usize = 5;
+
+fn layout() -> Layout {
+    Layout { name: "test/Pair".into(), leaves: vec!["seq".into(), "hash".into()] }
+}
+
+/// Sends its step's number, and a mix of everything that it saw: a difference anywhere upstream shows.
+struct Mixer;
+
+impl ErasedNode for Mixer {
+    fn step_into(&mut self, step: &Step<'_>, output: &mut [f64]) -> Result<(), NodeError> {
+        let mut hash = 0.5;
+        for input in step.inputs() {
+            for (index, stamp) in input.stamps().iter().enumerate() {
+                hash = (hash * 31.7 + input.payload(index)[1] + stamp.received as f64 * 1e-9).sin();
+            }
+        }
+        output.copy_from_slice(&[step.seq as f64, hash]);
+        Ok(())
+    }
+}
+
+/// A kind for every number of inputs: `mixer_2` has `in_0` and `in_1`.
+fn registry() -> Registry {
+    (0..MOST_NODES + 1).fold(Registry::new(), |registry, inputs| {
+        let kind = NodeKind::erased(layout(), vec![0.0, 0.25], |_| Ok(Box::new(Mixer)));
+        let kind =
+            (0..inputs).fold(kind, |kind, input| kind.input_with_layout(format!("in_{input}"), layout()));
+        registry.with(format!("mixer_{inputs}"), kind)
+    })
+}
+
+fn delay() -> impl Strategy<Value = Delay> {
+    prop_oneof![
+        Just(Delay::ZERO),
+        (0.0..0.01).prop_map(Delay::constant),
+        (0.0..0.005, 0.0..0.004).prop_map(|(mean, std)| Delay::Normal { mean, std }),
+        (0.0..0.004, 0.0..0.01).prop_map(|(low, span)| Delay::Uniform { low, high: low + span }),
+        (0.0005..0.004, 0.0..0.008).prop_map(|(mean, std)| Delay::LogNormal { mean, std }),
+    ]
+}
+
+fn node() -> impl Strategy<Value = NodeSpec> {
+    let rate = prop_oneof![Just(50.0), Just(100.0), Just(33.3), 20.0..120.0];
+    (rate, delay(), any::<bool>(), any::<bool>()).prop_map(|(rate, computation, phase, advance)| {
+        let mut node = NodeSpec::new("", "", rate);
+        node.computation = computation;
+        node.scheduling = if phase { Scheduling::Phase } else { Scheduling::Frequency };
+        node.advance = advance;
+        node
+    })
+}
+
+/// Whether there is a connection, and of what sort; a connection that leads back gets `skip`.
+fn connection() -> impl Strategy<Value = Option<ConnectionSpec>> {
+    let shape = (any::<bool>(), 1usize..5, any::<bool>(), any::<bool>(), delay());
+    prop::option::of(shape.prop_map(|(blocking, window, skip, buffer, delay)| ConnectionSpec {
+        blocking,
+        window,
+        skip,
+        jitter: if buffer { JitterPolicy::Buffer } else { JitterPolicy::Latest },
+        delay,
+        ..ConnectionSpec::new("", "")
+    }))
+}
+
+fn graph() -> impl Strategy<Value = Graph> {
+    (1..=MOST_NODES)
+        .prop_flat_map(|count| {
+            (prop::collection::vec(node(), count), prop::collection::vec(connection(), count * count))
+        })
+        .prop_map(|(mut nodes, connections)| {
+            let count = nodes.len();
+            let mut kept = Vec::new();
+            for (place, connection) in connections.into_iter().enumerate() {
+                let (from, to) = (place / count, place % count);
+                if let Some(mut connection) = connection {
+                    connection.skip |= from >= to;
+                    connection.from = format!("n{from}");
+                    connection.to = format!("n{to}");
+                    kept.push((to, connection));
+                }
+            }
+            for (index, node) in nodes.iter_mut().enumerate() {
+                let inputs = kept.iter_mut().filter(|(to, _)| *to == index).map(|(_, connection)| connection);
+                let (mut number, mut all_blocking) = (0, true);
+                for connection in inputs {
+                    connection.port = Some(format!("in_{number}"));
+                    number += 1;
+                    all_blocking &= connection.blocking;
+                }
+                node.name = format!("n{index}");
+                node.kind = format!("mixer_{number}");
+                node.advance &= number > 0 && all_blocking;
+            }
+            let mut spec = GraphSpec {
+                name: "random".into(),
+                supervisor: "n0".into(),
+                nodes,
+                connections: kept.into_iter().map(|(_, connection)| connection).collect(),
+                plant: None,
+            };
+            spec.validate(&registry()).unwrap_or_else(|_| {
+                // Every node of some cycle advances: the only error that is left.
+                for node in &mut spec.nodes {
+                    node.advance = false;
+                }
+                spec.validate(&registry()).unwrap()
+            })
+        })
+}
+
+fn run(graph: &Graph, seed: u64) -> (Recording, Outcome) {
+    let executor = Executor::new(graph.clone(), seed);
+    let mut sink = MemorySink::new(graph, executor.clock());
+    let outcome = executor.run(DURATION, &mut sink).unwrap();
+    (sink.finish(DURATION), outcome)
+}
+
+fn config() -> ProptestConfig {
+    ProptestConfig { cases: 200, ..ProptestConfig::default() }
+}
+
+proptest! {
+    #![proptest_config(config())]
+
+    #[test]
+    fn every_run_follows_the_rules(graph in graph(), seed in any::<u64>()) {
+        let (recording, outcome) = run(&graph, seed);
+        for (index, plan) in graph.nodes().iter().enumerate() {
+            let track = recording.node(&plan.name).unwrap();
+            // No valid graph blocks itself: every node gets going, and keeps going.
+            prop_assert!(track.steps.len() > 3, "node {} made {} steps", plan.name, track.steps.len());
+            let check = verify(&recording, &graph, index, &track.steps);
+            prop_assert_eq!(check.deviation, None);
+            prop_assert_eq!(check.largest_lateness, 0);
+
+            for (input, &connection) in plan.inputs.iter().enumerate() {
+                let plan = &graph.connections()[connection];
+                let sender = &graph.nodes()[plan.from].grid;
+                let mut arrivals = BTreeMap::new();
+                let mut newest = None;
+                for step in &track.steps {
+                    let consumed = &step.inputs[input].consumed;
+                    prop_assert_eq!(consumed.len(), plan.window);
+                    let initial = consumed.iter().take_while(|c| c.seq.is_none()).count();
+                    let seqs: Vec<u64> = consumed[initial..].iter().map(|c| c.seq.unwrap()).collect();
+                    prop_assert!(seqs.windows(2).all(|pair| pair[1] == pair[0] + 1), "contiguous: {seqs:?}");
+                    prop_assert!(seqs.last().copied() >= newest, "windows never go back");
+                    newest = seqs.last().copied();
+                    for c in &consumed[initial..] {
+                        // The future is never seen.
+                        prop_assert!(c.sent <= c.received && c.received <= step.start);
+                        prop_assert!(!plan.skip || plan.blocking || c.received < step.start);
+                        arrivals.insert(c.seq, c.received);
+                    }
+                    if plan.blocking {
+                        let until = if plan.skip { step.due - 1 } else { step.due };
+                        prop_assert_eq!(newest.map_or(0, |seq| seq + 1), sender.count_until(until));
+                    }
+                }
+                let times: Vec<i64> = arrivals.values().copied().collect();
+                prop_assert!(times.windows(2).all(|pair| pair[0] <= pair[1]), "messages overtake");
+            }
+        }
+        for (plan, account) in graph.connections().iter().zip(&outcome.connections) {
+            let a = account.account;
+            let sum = a.consumed + a.superseded + account.in_flight + a.lost_transport + a.lost_overflow;
+            prop_assert_eq!(sum, account.sent, "{}: {:?}", &account.connection, account);
+            let sent = recording.nodes[plan.from].messages.len() as u64;
+            prop_assert_eq!(account.sent, sent);
+        }
+    }
+
+    #[test]
+    fn a_seed_repeats_bit_for_bit_and_replays_exactly(graph in graph(), seed in any::<u64>()) {
+        let (recording, outcome) = run(&graph, seed);
+        let (again, again_outcome) = run(&graph, seed);
+        prop_assert_eq!(&recording, &again);
+        prop_assert_eq!(outcome, again_outcome);
+        let report = replay(&recording, &registry(), &ReplayOptions::default()).unwrap();
+        prop_assert!(report.is_exact(), "{:?}", report);
+        let steps: usize = recording.nodes.iter().map(|track| track.steps.len()).sum();
+        prop_assert_eq!(report.steps(), steps as u64);
+    }
+
+    #[test]
+    fn advance_never_starts_later(graph in graph(), seed in any::<u64>()) {
+        let mut spec = graph.spec().clone();
+        for node in &mut spec.nodes {
+            node.advance = false;
+        }
+        let (with, _) = run(&graph, seed);
+        let (without, _) = run(&spec.validate(&registry()).unwrap(), seed);
+        for (with, without) in with.nodes.iter().zip(&without.nodes) {
+            prop_assert!(with.steps.len() >= without.steps.len());
+            for (with, without) in with.steps.iter().zip(&without.steps) {
+                prop_assert!(with.start <= without.start);
+            }
+        }
+    }
+}
