@@ -19,6 +19,8 @@ use crate::time::Nanos;
 
 /// Between the order to start and the common start: time for the order to reach every node.
 const LEAD: Nanos = 20_000_000;
+/// How long nodes that wait for a dead one may take to stop by themselves before they are told to.
+const SETTLING: Duration = Duration::from_millis(300);
 /// How often the launcher looks around when nothing happens, in milliseconds.
 const TICK: i32 = 50;
 
@@ -345,8 +347,31 @@ impl Crew<'_> {
                 .any(|receiver| self.graph.nodes()[*receiver].on_dead_sender == OnDeadSender::Stop)
     }
 
+    /// Lets the nodes that stop by themselves, because one that they wait for is gone, do so and say it.
+    fn settle(&mut self, clock: WallClock) {
+        let start = Instant::now();
+        while (0..self.workers.len()).any(|node| self.stopping(node)) && start.elapsed() < SETTLING {
+            self.pause(5);
+            self.look(clock, false);
+        }
+    }
+
+    /// Whether a node is about to stop by itself.
+    fn stopping(&self, node: usize) -> bool {
+        let plan = &self.graph.nodes()[node];
+        let gone = |connection: &usize| {
+            let connection = &self.graph.connections()[*connection];
+            let report = self.reports[connection.from].as_ref();
+            connection.blocking && report.is_some_and(|report| report.exit != Exit::Clean)
+        };
+        self.reports[node].is_none()
+            && plan.on_dead_sender == OnDeadSender::Stop
+            && plan.inputs.iter().any(gone)
+    }
+
     /// Stops all nodes and waits until each has said how it fared.
     fn stop(&mut self, clock: WallClock, patience: Duration) {
+        self.settle(clock);
         self.workers.iter_mut().for_each(|worker| worker.order(&Order::Stop));
         let start = Instant::now();
         while self.reports.iter().any(Option::is_none) && start.elapsed() < patience {

@@ -154,8 +154,10 @@ impl Stepper {
     pub(super) fn run(&mut self, clock: WallClock, orders: &Orders) -> Result<(), StepError> {
         let end = self.settings.duration.unwrap_or(Nanos::MAX);
         while !orders.stop.load(Ordering::Relaxed) {
+            // What a node sent before its death is taken before the death is believed.
+            let news = orders.dead_news.swap(false, Ordering::Acquire);
             self.receive(clock, end)?;
-            if orders.dead_news.swap(false, Ordering::Acquire) {
+            if news {
                 for (input, state) in self.inputs.iter().enumerate() {
                     if orders.dead[state.sender].load(Ordering::Relaxed) {
                         self.inbox.sender_dead(input);
@@ -172,7 +174,7 @@ impl Stepper {
                     }
                     self.pause(end - now)?;
                 }
-                Wait::Until(time) if now >= time => self.step(clock, time)?,
+                Wait::Until(time) if now >= time => self.step(clock, now, time)?,
                 Wait::Until(time) => {
                     let left = time - now - self.settings.spin;
                     if left > 0 { self.pause(left)? } else { std::hint::spin_loop() }
@@ -263,9 +265,8 @@ impl Stepper {
         records.send(LOSS_WORDS)
     }
 
-    /// Makes the next step, which could have begun at `earliest`.
-    fn step(&mut self, clock: WallClock, earliest: Nanos) -> Result<(), StepError> {
-        let start = clock.now();
+    /// Makes the next step, which begins now, at `start`, and could have begun at `earliest`.
+    fn step(&mut self, clock: WallClock, start: Nanos, earliest: Nanos) -> Result<(), StepError> {
         let step: Step<'_> = self.inbox.begin(start)?;
         let (seq, due) = (step.seq, step.due);
         self.node.step_into(&step, &mut self.values).map_err(|source| StepError::Node { seq, source })?;

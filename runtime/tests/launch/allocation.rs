@@ -12,14 +12,14 @@ use crate::Test;
 use crate::nodes::{Number, graph, registry};
 use crate::runs::options;
 
-pub const TESTS: &[Test] = &[("a_step_allocates_only_what_the_transport_does", a_step_allocates)];
+pub(crate) const TESTS: &[Test] = &[("a_step_allocates_only_what_the_transport_does", a_step_allocates)];
 
 thread_local! {
     static COUNT: Cell<u64> = const { Cell::new(0) };
 }
 
 /// The system's allocator, counting what each thread takes.
-pub struct Counting;
+pub(crate) struct Counting;
 
 // SAFETY: every call is passed on unchanged to the system's allocator, which keeps the contract; counting uses a
 // thread-local number without a destructor and does not allocate.
@@ -37,7 +37,7 @@ unsafe impl GlobalAlloc for Counting {
 }
 
 /// Sends how often its thread has allocated so far.
-pub struct Counted;
+pub(crate) struct Counted;
 
 impl Node for Counted {
     type Output = Number<f64>;

@@ -14,7 +14,7 @@ use crate::Test;
 use crate::nodes::{graph, registry, troubled};
 use crate::runs::options;
 
-pub const TESTS: &[Test] = &[
+pub(crate) const TESTS: &[Test] = &[
     ("a_killed_node_is_noticed", a_killed_node_is_noticed),
     ("an_error_a_panic_and_an_exit_are_told_apart", an_error_a_panic_and_an_exit_are_told_apart),
     ("a_thread_that_panics_is_noticed", a_thread_that_panics_is_noticed),
@@ -37,8 +37,8 @@ fn a_killed_node_is_noticed() {
     let text = report.failure().unwrap();
     assert!(text.contains("counter") && text.contains("SIGKILL") && text.contains("process "), "{text}");
     assert!(matches!(report.nodes[0].exit, Exit::Died { pid: Some(_), .. }), "{report:?}");
-    // The adder was told, and stopped as its node wants by default, or by the launcher right after.
-    assert!(matches!(report.nodes[1].exit, Exit::Clean | Exit::DeadSender { .. }), "{report:?}");
+    // The adder waits for it, was told, and stopped as nodes do by default.
+    assert_eq!(report.nodes[1].exit, Exit::DeadSender { sender: "counter".into() });
 
     // The recording is whole up to there: every message that was sent before.
     let recording = Recording::read(&path).unwrap();
@@ -47,6 +47,9 @@ fn a_killed_node_is_noticed() {
     assert_eq!(messages.iter().map(|message| message.seq).collect::<Vec<_>>(), (0..40).collect::<Vec<_>>());
     let fault = recording.faults.iter().find(|fault| fault.node == "counter").expect("the death is recorded");
     assert!(matches!(&fault.kind, FaultKind::Died { message } if message.contains("SIGKILL")));
+    let fault =
+        recording.faults.iter().find(|fault| fault.node == "adder").expect("the adder's stop is recorded");
+    assert_eq!(fault.kind, FaultKind::DeadSender { sender: "counter".into() });
     assert!(recording.duration >= 195_000_000);
 }
 
@@ -118,9 +121,9 @@ fn a_recording_that_cannot_be_written_is_refused() {
 }
 
 /// Under this argument this program is a launcher that runs until it is stopped: `RECORDING`.
-pub const LAUNCHER_COMMAND: &str = "__launcher";
+pub(crate) const LAUNCHER_COMMAND: &str = "__launcher";
 
-pub fn launcher(mut arguments: impl Iterator<Item = String>) -> ExitCode {
+pub(crate) fn launcher(mut arguments: impl Iterator<Item = String>) -> ExitCode {
     let mut said = false;
     let progress = move |progress: parallax_runtime::launch::Progress| {
         if progress.elapsed > 100_000_000 && !said {

@@ -3,6 +3,8 @@
 //! This program is its own node binary: under the hidden subcommand it runs a node.
 
 mod allocation;
+#[cfg(feature = "conformance")]
+mod conformance;
 mod failures;
 mod nodes;
 mod runs;
@@ -27,7 +29,9 @@ fn main() -> ExitCode {
         return failures::launcher(arguments);
     }
     let filter = first.filter(|argument| !argument.starts_with('-')).unwrap_or_default();
-    let tests: Vec<Test> = [runs::TESTS, failures::TESTS, allocation::TESTS].concat();
+    let mut tests: Vec<Test> = [runs::TESTS, failures::TESTS, allocation::TESTS].concat();
+    #[cfg(feature = "conformance")]
+    tests.extend(conformance::TESTS);
     let chosen: Vec<&Test> = tests.iter().filter(|(name, _)| name.contains(&filter)).collect();
     if std::env::args().any(|argument| argument == "--list") {
         chosen.iter().for_each(|(name, _)| println!("{name}: test"));

@@ -9,15 +9,15 @@ use parallax_runtime::registry::{NodeKind, Registry};
 
 /// One number.
 #[derive(Tree, Clone, Default)]
-pub struct Number<T> {
-    pub value: T,
+pub(crate) struct Number<T> {
+    pub(crate) value: T,
 }
 
 impl Message for Number<f64> {
     const NAME: &'static str = "test/Number";
 }
 
-pub const SOURCE: Port<Number<f64>> = Port::new("source");
+pub(crate) const SOURCE: Port<Number<f64>> = Port::new("source");
 
 /// Sends the number of its step, and does what its parameters say at one of them.
 struct Counter {
@@ -40,7 +40,9 @@ impl Node for Counter {
         if self.trouble.at == Some(step.seq) {
             match &*self.trouble.what {
                 // SAFETY: the call takes an integer and ends this process, which is what the test wants.
-                "kill" => unsafe { drop(libc::raise(libc::SIGKILL)) },
+                "kill" => unsafe {
+                    libc::raise(libc::SIGKILL);
+                },
                 "exit" => std::process::exit(3),
                 "panic" => panic!("the test wants it"),
                 "error" => return Err(NodeError::failed("the motor is on fire")),
@@ -75,10 +77,14 @@ impl Node for Secret {
     }
 }
 
-pub const SECRET: &str = "TEST_NODE_SECRET";
+pub(crate) const SECRET: &str = "TEST_NODE_SECRET";
 
-pub fn registry() -> Registry {
-    Registry::new()
+pub(crate) fn registry() -> Registry {
+    #[cfg(feature = "conformance")]
+    let known = parallax_runtime::conformance::registry();
+    #[cfg(not(feature = "conformance"))]
+    let known = Registry::new();
+    known
         .with("counter", NodeKind::new(|context| Ok(Counter { trouble: context.parameters()? })))
         .with("adder", NodeKind::new(|_| Ok(Adder)).input(SOURCE))
         .with(
@@ -98,7 +104,7 @@ pub fn registry() -> Registry {
 }
 
 /// A counter at 200 Hz, and an adder at 100 Hz that waits for it.
-pub fn graph() -> GraphSpec {
+pub(crate) fn graph() -> GraphSpec {
     let mut connection = ConnectionSpec::new("counter", "adder");
     connection.port = Some("source".into());
     connection.blocking = true;
@@ -113,7 +119,7 @@ pub fn graph() -> GraphSpec {
 }
 
 /// [`graph`], and something happens to its counter at a step.
-pub fn troubled(what: &str, at: u64) -> GraphSpec {
+pub(crate) fn troubled(what: &str, at: u64) -> GraphSpec {
     let mut graph = graph();
     let parameters = &mut graph.node_mut("counter").unwrap().parameters;
     parameters.insert("what".into(), what.into());
@@ -122,7 +128,7 @@ pub fn troubled(what: &str, at: u64) -> GraphSpec {
 }
 
 /// What of Parallax lies in shared memory.
-pub fn shared_memory() -> BTreeSet<String> {
+pub(crate) fn shared_memory() -> BTreeSet<String> {
     let mut found = BTreeSet::new();
     for folder in std::fs::read_dir("/dev/shm").unwrap().flatten() {
         let name = folder.file_name().to_string_lossy().into_owned();

@@ -11,7 +11,7 @@ use parallax_runtime::recording::{Clock, Recording};
 use crate::Test;
 use crate::nodes::{SECRET, graph, registry};
 
-pub const TESTS: &[Test] = &[
+pub(crate) const TESTS: &[Test] = &[
     ("processes_are_recorded", processes_are_recorded),
     ("threads_are_recorded", threads_are_recorded),
     ("two_runs_at_once_do_not_meet", two_runs_at_once_do_not_meet),
@@ -20,7 +20,7 @@ pub const TESTS: &[Test] = &[
     ("progress_can_stop_a_run", progress_can_stop_a_run),
 ];
 
-pub fn options(seconds: f64, recording: &Path) -> RunOptions {
+pub(crate) fn options(seconds: f64, recording: &Path) -> RunOptions {
     RunOptions {
         duration: Some((seconds * 1e9) as i64),
         recording: Some(recording.into()),
@@ -51,7 +51,7 @@ fn recorded(mode: Mode) {
 }
 
 /// Whether report and recording are those of half a second of [`graph`].
-pub fn check(report: &RunReport, recording: &Recording) {
+pub(crate) fn check(report: &RunReport, recording: &Recording) {
     assert!(report.clean(), "{report:#?}");
     assert_eq!((report.end.clone(), report.duration, report.failure()), (End::Duration, 500_000_000, None));
     assert_eq!(recording.truncated, None);
