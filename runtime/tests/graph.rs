@@ -1,5 +1,7 @@
 //! What a graph may not be, and what a valid one means.
 
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
 use parallax_model::tree::Tree;
 use parallax_runtime::delay::Delay;
 use parallax_runtime::graph::{ConnectionSpec, GraphError, GraphSpec, GraphWarning, NodeSpec};

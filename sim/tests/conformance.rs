@@ -1,5 +1,7 @@
 //! The simulated clock shows the behaviours that every executor must show.
 
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
 use parallax_runtime::conformance::{ExecutorUnderTest, registry, suite};
 use parallax_runtime::graph::GraphSpec;
 use parallax_runtime::recording::Recording;

@@ -1,5 +1,7 @@
 //! What replay finds, and what it refuses.
 
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
 use parallax_model::tree::Tree;
 use parallax_runtime::delay::Delay;
 use parallax_runtime::graph::{GraphBuilder, GraphError};
