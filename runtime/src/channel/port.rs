@@ -293,6 +293,19 @@ impl Listener {
     ///
     /// [`ChannelError::Transport`].
     pub fn wait(&self, time: Duration) -> Result<(), ChannelError> {
-        self.port.timed_wait(|_| {}, time).map_err(|e| failed(&self.name, "wait")(&e)).map(|_| ())
+        // The transport's own wait counts in the kernel's ticks and wakes up to two of them (8 ms) late;
+        // ppoll counts in nanoseconds.
+        // SAFETY: the descriptor belongs to `self.port`, which outlives this function, and is only polled.
+        let descriptor = unsafe { self.port.file_descriptor().native_handle() };
+        let mut polled = libc::pollfd { fd: descriptor, events: libc::POLLIN, revents: 0 };
+        let time = libc::timespec {
+            tv_sec: libc::time_t::try_from(time.as_secs()).unwrap_or(libc::time_t::MAX),
+            tv_nsec: time.subsec_nanos().into(),
+        };
+        // SAFETY: the two pointers are to locals that outlive the call, the count is 1, and no signal mask is set.
+        if unsafe { libc::ppoll(&mut polled, 1, &time, std::ptr::null()) } > 0 {
+            self.port.try_wait(|_| {}).map_err(|e| failed(&self.name, "wait")(&e))?;
+        }
+        Ok(())
     }
 }

@@ -32,7 +32,7 @@ pub(super) enum Order {
 #[serde(rename_all = "snake_case")]
 pub(super) enum Answer {
     /// The node exists and its channels are open.
-    Opened,
+    Opened { warnings: Vec<String> },
     /// Connected: the number of receivers of its output, and of its records.
     Connected { receivers: usize, recorders: usize },
     /// The node cannot go on.

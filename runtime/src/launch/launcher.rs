@@ -44,6 +44,7 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
         duration: options.duration,
         recording: options.recording.is_some(),
         spin: options.spin,
+        real_time: options.real_time,
         cores,
     };
     let file = RunFile { graph: graph.spec().clone(), settings: settings.clone() };
@@ -63,7 +64,7 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
     };
     let workers = start(&graph, &settings, &space, &options)?;
     let mut crew = Crew { graph: &graph, reports: vec![None; workers.len()], workers, recorder };
-    crew.handshake(&settings, options.patience)?;
+    warnings.extend(crew.handshake(&settings, options.patience)?);
 
     let clock = WallClock::starting_in(LEAD);
     if let Some(recorder) = &crew.recorder {
@@ -179,6 +180,13 @@ fn used(space: &Space) -> u64 {
     ours.filter_map(|entry| entry.metadata().ok()).map(|metadata| metadata.blocks() * 512).sum()
 }
 
+impl Drop for Crew<'_> {
+    fn drop(&mut self) {
+        // All are told before the first is waited for.
+        self.workers.iter_mut().for_each(Worker::hang_up);
+    }
+}
+
 /// The nodes of a run, and the recorder.
 struct Crew<'a> {
     graph: &'a Graph,
@@ -189,9 +197,14 @@ struct Crew<'a> {
 }
 
 impl Crew<'_> {
-    /// Brings all nodes to the point where they wait for the common start.
-    fn handshake(&mut self, settings: &Settings, patience: Duration) -> Result<(), RunError> {
-        self.await_all(patience, "open its channels", |_, answer| Ok(matches!(answer, Answer::Opened)))?;
+    /// Brings all nodes to the point where they wait for the common start; gives what they warn of.
+    fn handshake(&mut self, settings: &Settings, patience: Duration) -> Result<Vec<String>, RunError> {
+        let mut said = Vec::new();
+        self.await_all(patience, "open its channels", |_, answer| {
+            let Answer::Opened { warnings } = answer else { return Ok(false) };
+            said.extend_from_slice(warnings);
+            Ok(true)
+        })?;
         self.workers.iter_mut().for_each(|worker| worker.order(&Order::Connect));
         let graph = self.graph;
         self.await_all(patience, "connect to its receivers", |node, answer| {
@@ -202,7 +215,8 @@ impl Crew<'_> {
                 return Err(RunError::Receivers { node: graph.nodes()[node].name.clone(), got, expected });
             }
             Ok(true)
-        })
+        })?;
+        Ok(said)
     }
 
     /// Waits until every node has given the answer that `accept` wants.
@@ -210,7 +224,7 @@ impl Crew<'_> {
         &mut self,
         patience: Duration,
         what: &'static str,
-        accept: impl Fn(usize, &Answer) -> Result<bool, RunError>,
+        mut accept: impl FnMut(usize, &Answer) -> Result<bool, RunError>,
     ) -> Result<(), RunError> {
         let start = Instant::now();
         let mut pending = vec![true; self.workers.len()];
@@ -381,8 +395,8 @@ impl Crew<'_> {
     }
 
     /// Lets all nodes end; gives their reports.
-    fn dismiss(self, patience: Duration) -> Vec<NodeReport> {
-        let Crew { workers, reports, .. } = self;
+    fn dismiss(mut self, patience: Duration) -> Vec<NodeReport> {
+        let (workers, reports) = (std::mem::take(&mut self.workers), std::mem::take(&mut self.reports));
         let dismiss = |(mut worker, report): (Worker, Option<NodeReport>)| {
             worker.hang_up();
             let in_time = worker.join(patience);

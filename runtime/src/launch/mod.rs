@@ -83,6 +83,10 @@ pub struct RunOptions {
     /// How long before its time a step stops sleeping and polls instead: punctual to a microsecond, at the
     /// price of the core's time. For nodes that have a core to themselves.
     pub spin: Nanos,
+    /// Whether nodes ask the system to run them before all ordinary programs (`SCHED_FIFO`), and processes to
+    /// keep their memory from being paged out. It takes a privilege (`CAP_SYS_NICE`, or an `rtprio` limit); a
+    /// node that is refused says so in the warnings and runs like any program.
+    pub real_time: bool,
     /// Whether nodes without a core are spread over the cores that exist, or left to the system.
     pub spread: bool,
     /// Whether Ctrl-C and requests to terminate stop the run in order.
@@ -104,6 +108,7 @@ impl Default for RunOptions {
             mode: Mode::default(),
             private: BTreeMap::new(),
             spin: 0,
+            real_time: false,
             spread: true,
             signals: true,
             node_command: vec![NODE_COMMAND.into()],
@@ -122,6 +127,7 @@ impl std::fmt::Debug for RunOptions {
             .field("recording", &self.recording)
             .field("mode", &self.mode)
             .field("spin", &self.spin)
+            .field("real_time", &self.real_time)
             .field("spread", &self.spread)
             .finish_non_exhaustive()
     }

@@ -26,6 +26,8 @@ pub(super) struct Settings {
     pub(super) recording: bool,
     /// How long before its time a step stops sleeping and polls.
     pub(super) spin: Nanos,
+    /// Whether nodes ask for a place before all ordinary programs.
+    pub(super) real_time: bool,
     /// Core of each node.
     pub(super) cores: Vec<Option<usize>>,
 }

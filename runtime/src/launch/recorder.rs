@@ -93,6 +93,16 @@ impl Recorder {
     }
 }
 
+impl Drop for Recorder {
+    fn drop(&mut self) {
+        // After a run that was not made, the thread must be gone before the run's shared memory is.
+        if let Some(thread) = self.thread.take() {
+            self.tell(Order::Finish(0));
+            let _ = thread.join();
+        }
+    }
+}
+
 /// One node's records.
 struct Stream {
     subscriber: Subscriber,

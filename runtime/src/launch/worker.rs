@@ -143,9 +143,16 @@ impl Worker {
 impl Drop for Worker {
     fn drop(&mut self) {
         // However the launcher leaves, no process of the run outlives it.
-        if let Body::Process(child) = &mut self.body {
-            let _ = child.kill();
-            let _ = child.wait();
+        self.hang_up();
+        match &mut self.body {
+            Body::Process(child) => {
+                let _ = child.kill();
+                let _ = child.wait();
+            }
+            // A thread cannot be killed: one that hangs in its node's code is left behind after a while.
+            Body::Thread(_) => {
+                self.join(Duration::from_secs(2));
+            }
         }
     }
 }

@@ -117,6 +117,27 @@ fn sleep_exactly() {
     unsafe { libc::prctl(libc::PR_SET_TIMERSLACK, 1) };
 }
 
+/// Asks the system to run this thread before all ordinary ones, and to keep its memory; gives what was refused.
+fn go_first(node: &str) -> Vec<String> {
+    let mut refused = Vec::new();
+    let parameters = libc::sched_param { sched_priority: 10 };
+    // Threads that this one starts are ordinary again.
+    let policy = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
+    // SAFETY: `parameters` is a valid sched_param that outlives the call; 0 is the calling thread.
+    if unsafe { libc::sched_setscheduler(0, policy, &parameters) } != 0 {
+        let error = io::Error::last_os_error();
+        refused.push(format!(
+            "node {node} runs like any program, not in real time: {error}; give it an rtprio limit"
+        ));
+    }
+    // SAFETY: the call takes an integer and changes nothing but where this process's memory may lie.
+    if unsafe { libc::mlockall(libc::MCL_CURRENT | libc::MCL_FUTURE) } != 0 {
+        let error = io::Error::last_os_error();
+        refused.push(format!("the memory of node {node} may be paged out: {error}; give it a memlock limit"));
+    }
+    refused
+}
+
 /// Runs a node by its launcher's orders; says whether it ended in order.
 pub(super) fn serve(
     graph: &Graph,
@@ -178,7 +199,9 @@ fn work(
     let endpoint = Endpoint::new(&space).map_err(|e| e.to_string())?;
     let node = graph.build(index, settings.seed).map_err(|e| e.to_string())?;
     let mut stepper = Stepper::open(graph, index, node, settings, &endpoint).map_err(|e| e.to_string())?;
-    answers.send(&Answer::Opened);
+    // Last, so that building a node, which may take long, keeps nobody else from running.
+    let warnings = if settings.real_time { go_first(&graph.nodes()[index].name) } else { Vec::new() };
+    answers.send(&Answer::Opened { warnings });
     let clock = loop {
         match queue.next(1000) {
             Some(Some(Order::Connect)) => {

@@ -18,6 +18,7 @@ pub(crate) const TESTS: &[Test] = &[
     ("a_secret_reaches_its_node_and_no_file", a_secret_reaches_its_node_and_no_file),
     ("cores_are_checked", cores_are_checked),
     ("progress_can_stop_a_run", progress_can_stop_a_run),
+    ("real_time_is_granted_or_warned_of", real_time_is_granted_or_warned_of),
 ];
 
 pub(crate) fn options(seconds: f64, recording: &Path) -> RunOptions {
@@ -132,6 +133,22 @@ fn cores_are_checked() {
     graph.nodes[1].core = Some(4096);
     let error = run(&graph, &registry(), options(0.05, &path)).unwrap_err().to_string();
     assert!(error.contains("adder") && error.contains("4096"), "{error}");
+}
+
+fn real_time_is_granted_or_warned_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    for mode in [Mode::Processes, Mode::Threads] {
+        let options = RunOptions { real_time: true, mode, ..options(0.5, &path) };
+        let report = run(&graph(), &registry(), options).unwrap();
+        check(&report, &Recording::read(&path).unwrap());
+        let refused = report.warnings.iter().filter(|warning| warning.contains("like any program")).count();
+        assert!(refused == 0 || refused == 2, "both nodes ask for the same: {:?}", report.warnings);
+        println!("  {mode:?}: {refused} of 2 nodes refused");
+        for node in &report.nodes {
+            println!("  {}: lateness {:?}", node.node, node.lateness);
+        }
+    }
 }
 
 fn progress_can_stop_a_run() {
