@@ -196,9 +196,13 @@ fn initial_message(executor: &dyn ExecutorUnderTest) {
 }
 
 fn skip(executor: &dyn ExecutorUnderTest) {
+    // Under an exact clock, what `right` sends arrives exactly when `left` starts again.
     let spec = graph(
         vec![sum("left", 100.0), sum("right", 100.0)],
-        vec![blocks("left", "right"), ConnectionSpec { skip: true, ..connect("right", "left") }],
+        vec![
+            blocks("left", "right"),
+            ConnectionSpec { skip: true, delay: Delay::constant(0.01), ..connect("right", "left") },
+        ],
     );
     let recording = run(executor, &spec);
     for step in steps(&recording, "left") {
