@@ -1,5 +1,7 @@
 //! Channels at their boundary: what goes in comes out, disagreement is refused, nothing stays behind.
 
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
 use std::time::{Duration, Instant};
 
 use parallax_runtime::channel::{ChannelError, Endpoint, Space, Topic};

@@ -1,5 +1,7 @@
 //! The public Python packages for MCAP and ROS 2 messages read our recordings, message by message, bit by bit.
 
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
 use std::path::{Path, PathBuf};
 use std::process::Command;
 

@@ -1,5 +1,7 @@
 //! Recordings as files: what is written is read, what is cut is recovered, what is wrong is named.
 
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
 use std::fs;
 use std::path::Path;
 

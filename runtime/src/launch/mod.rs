@@ -80,8 +80,9 @@ pub struct RunOptions {
     pub mode: Mode,
     /// Environment variables for the processes of single nodes, by node. They are not recorded.
     pub private: BTreeMap<String, BTreeMap<String, String>>,
-    /// How long before its time a step stops sleeping and polls instead: punctual to a microsecond, at the
-    /// price of the core's time. For nodes that have a core to themselves.
+    /// How long before its time a step stops sleeping and polls instead, and how long after it a late message
+    /// is polled for: punctual to a microsecond, at the price of the core's time. For nodes that have a core to
+    /// themselves.
     pub spin: Nanos,
     /// Whether nodes ask the system to run them before all ordinary programs (`SCHED_FIFO`), and processes to
     /// keep their memory from being paged out. It takes a privilege (`CAP_SYS_NICE`, or an `rtprio` limit); a

@@ -180,7 +180,16 @@ impl Stepper {
                     if left > 0 { self.pause(left)? } else { std::hint::spin_loop() }
                 }
                 Wait::Message { .. } if now >= end => return Ok(()),
-                Wait::Message { .. } => self.pause(PATIENCE)?,
+                Wait::Message { .. } => {
+                    // The message is expected about when the step is due.
+                    let gate = self.inbox.gate();
+                    let left = gate.due().saturating_add(gate.shift()) - self.settings.spin - now;
+                    match left {
+                        1.. => self.pause(left)?,
+                        _ if left > -2 * self.settings.spin => std::hint::spin_loop(),
+                        _ => self.pause(PATIENCE)?,
+                    }
+                }
                 Wait::Stop { input } => {
                     return Err(StepError::DeadSender { sender: self.inputs[input].sender_name.clone() });
                 }

@@ -118,6 +118,11 @@ fn a_node_that_cannot_be_built_is_named() {
 fn a_recording_that_cannot_be_written_is_refused() {
     let error = run(&graph(), &registry(), options(0.1, Path::new("/nonexistent/run.mcap"))).unwrap_err();
     assert!(error.to_string().contains("/nonexistent/run.mcap"), "{error}");
+    // A device that takes no byte stands for a full disk: the run ends at once, and says why.
+    let start = Instant::now();
+    let error = run(&graph(), &registry(), options(60.0, Path::new("/dev/full"))).unwrap_err().to_string();
+    assert!(error.contains("/dev/full") && error.contains("disk full"), "{error}");
+    assert!(start.elapsed() < Duration::from_secs(20));
 }
 
 /// Under this argument this program is a launcher that runs until it is stopped: `RECORDING`.

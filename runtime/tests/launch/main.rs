@@ -2,6 +2,8 @@
 //!
 //! This program is its own node binary: under the hidden subcommand it runs a node.
 
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
 mod allocation;
 #[cfg(feature = "conformance")]
 mod conformance;
