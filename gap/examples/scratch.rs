@@ -26,15 +26,11 @@ fn main() {
         let t0 = std::time::Instant::now();
         let experiment = record(hidden, seed, 20.0);
         let system = parallax_model::system::System::parse(SYSTEM, "s.toml").unwrap();
-        let setup = setup::Setup::new(system.equations().unwrap(), experiment, None);
-        let null = search::null(&setup);
-        println!("== {name}: noise {:?} joints {:?} null cost {:.1} ev {:.1} shoot {:.1} theta {:?} noise {:?}", setup.output_noise, setup.joints, null.innovation.pass.cost(), null.innovation.evidence_cost, null.shooting_cost, null.theta(), null.innovation.noise);
-        let (c, _) = library::candidates(&setup);
-        let mut fits = search::singles(&setup, &null, &c);
-        fits.sort_by(|a, b| a.innovation.evidence_cost.total_cmp(&b.innovation.evidence_cost));
-        for f in &fits {
-            println!("  {:32} dev {:9.1} dshoot {:9.1}  lq {:.1} lr {:.2}  theta {:?} (shoot {:?})", f.hypothesis.label(), f.innovation.evidence_cost - null.innovation.evidence_cost, f.shooting_cost - null.shooting_cost, f.innovation.noise.log_process, f.innovation.noise.log_output[0], f.theta().iter().map(|v| (v*1e5).round()/1e5).collect::<Vec<_>>(), f.shooting.theta.iter().map(|v| (v*1e5).round()/1e5).collect::<Vec<_>>());
-        }
+        let d = diagnosis::diagnose_experiment(system.equations().unwrap(), experiment, name, &Default::default(), &|_, _| ()).unwrap();
+        let r = &d.report;
+        println!("== {name}: {}", r.summary);
+        println!("   p {:.1e} score {:.2} no-gap.. unexplained {:.3} {:.3}  far {:?}", r.gap.p_value, r.gap.score, r.unexplained.probability, r.unexplained.share, r.how_far);
+        for w in r.which.iter().take(4) { println!("   {:.4} {:?} {:?}", w.probability, w.class, w.effects.iter().map(|e| format!("{:?}", e.parameters.iter().map(|(n, v)| format!("{n} {:.4}±{:.4}", v.value, v.std)).collect::<Vec<_>>())).collect::<Vec<_>>()); }
         println!("  time {:?}", t0.elapsed());
     }
 }

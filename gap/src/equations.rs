@@ -51,8 +51,9 @@ impl Simulator for EquationsSimulator<'_> {
             5..=8 => Box::new(EquationsRun::<8>::new(self, theta)),
             9..=12 => Box::new(EquationsRun::<12>::new(self, theta)),
             13..=16 => Box::new(EquationsRun::<16>::new(self, theta)),
-            17..=32 => Box::new(EquationsRun::<32>::new(self, theta)),
-            33..=64 => Box::new(EquationsRun::<64>::new(self, theta)),
+            17..=24 => Box::new(EquationsRun::<24>::new(self, theta)),
+            25..=40 => Box::new(EquationsRun::<40>::new(self, theta)),
+            41..=64 => Box::new(EquationsRun::<64>::new(self, theta)),
             _ => Box::new(EquationsRun::<128>::new(self, theta)),
         }
     }

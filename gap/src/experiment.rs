@@ -56,6 +56,15 @@ impl Experiment {
         self.samples.iter().filter(|s| s.output == output).map(|s| (s.stamp, s.value)).unzip()
     }
 
+    /// Keeps every `keep`-th reading of each output.
+    pub fn thin(&mut self, keep: usize) {
+        let mut seen = vec![0_usize; self.wraps.len()];
+        self.samples.retain(|s| {
+            seen[s.output] += 1;
+            (seen[s.output] - 1) % keep.max(1) == 0
+        });
+    }
+
     /// The median time between readings of one output (s).
     #[must_use]
     pub fn period(&self, output: usize) -> f64 {

@@ -66,11 +66,12 @@ pub fn fit(
     model: &NoiseModel,
     noise: &Noise,
     start: &[f64],
+    iterations: usize,
 ) -> InnovationFit {
     let p = simulator.parameters();
     let mut noise = noise.clone();
     let mut last: Option<(Vec<f64>, Pass)> = None;
-    let minimum = minimise(&hypothesis.fitted, start, 30, |theta, accepted| {
+    let minimum = minimise(&hypothesis.fitted, start, iterations, |theta, accepted| {
         let known = last.take().filter(|(at, _)| at == theta);
         let mut pass = match known {
             Some((_, pass)) => pass,

@@ -1,6 +1,15 @@
 //! The answer: what a diagnosis found, as `report.json` states it, with the series that its plots need.
 
+mod answer;
+mod axis;
+mod bars;
+mod draw;
+mod format;
 pub mod html;
+mod overlay;
+mod readings;
+pub mod svg;
+pub mod text;
 
 use serde::{Deserialize, Serialize};
 

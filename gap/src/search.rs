@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use crate::filter::Pass;
 use crate::fit::{Minimum, minimise};
-use crate::hypothesis::Hypothesis;
+use crate::hypothesis::{EffectAt, Hypothesis};
 use crate::innovation::{InnovationFit, Segment, fit, walk};
 use crate::library;
 use crate::setup::Setup;
@@ -25,13 +25,96 @@ pub struct Fit {
     pub shooting: Minimum,
     /// Bayesian information criterion of the short windows.
     pub shooting_cost: f64,
+    /// Mean squared residual of the short windows, in noise units squared.
+    pub shooting_error: f64,
+    /// Standard deviations of the short windows' estimate, robust to residuals that are correlated within a window.
+    shooting_std: Vec<f64>,
+    /// How many independent readings one reading of the windows is worth, at most 1.
+    pub independence: f64,
 }
 
+/// Mean squared residual of the windows, in noise units squared, from which a model counts as inexact.
+pub const INEXACT: f64 = 1.5;
+
 impl Fit {
-    /// The parameters.
+    /// The parameters by innovation likelihood, at which the evidence was taken.
     #[must_use]
     pub fn theta(&self) -> &[f64] {
         &self.innovation.minimum.theta
+    }
+
+    /// The parameters to report and to predict with.
+    ///
+    /// Where the model reaches the sensor's noise the likelihood is efficient. Where it does not, as on any real
+    /// machine, one-step predictions are ruled by what the model lacks, and the short windows are the better judge:
+    /// they ask for what the simulator is for, a prediction over the horizon.
+    #[must_use]
+    pub fn estimate(&self) -> &[f64] {
+        if self.by_windows() { &self.shooting.theta } else { self.theta() }
+    }
+
+    /// Standard deviations of [`Fit::estimate`].
+    #[must_use]
+    pub fn std(&self) -> Vec<f64> {
+        if self.by_windows() { self.shooting_std.clone() } else { self.innovation.minimum.std() }
+    }
+
+    fn by_windows(&self) -> bool {
+        self.shooting_error > INEXACT && self.shooting.theta.len() == self.theta().len() && self.residuals.is_empty()
+    }
+}
+
+/// Most Gauss–Newton steps of a fit.
+const ITERATIONS: usize = 25;
+
+/// A fit by short windows.
+struct Shot {
+    minimum: Minimum,
+    cost: f64,
+    residuals: Residuals,
+}
+
+impl Shot {
+    /// Mean squared residual in units of the sensors' noise.
+    fn error(&self, setup: &Setup) -> f64 {
+        let outputs = self.residuals.squares.iter().zip(&setup.output_noise);
+        let squares: f64 = outputs.map(|(s, noise)| s / (noise * noise)).sum();
+        squares / self.residuals.counts.iter().sum::<usize>().max(1) as f64
+    }
+
+    /// p / tr(H⁻¹ Σ g gᵀ): 1 for independent residuals, less where they are correlated within a window (the
+    /// adjustment of composite likelihoods: Varin, Reid & Firth 2011, section 2.3).
+    fn independence(&self) -> f64 {
+        let Some(inverse) = self.minimum.covariance() else { return 1.0 };
+        let p = inverse.nrows();
+        if p == 0 {
+            return 1.0;
+        }
+        let trace = (&inverse * self.spread(p)).trace();
+        if trace > 0.0 { (p as f64 / trace).min(1.0) } else { 1.0 }
+    }
+
+    /// Σ g gᵀ over windows.
+    fn spread(&self, p: usize) -> nalgebra::DMatrix<f64> {
+        let mut spread = nalgebra::DMatrix::<f64>::zeros(p, p);
+        for g in &self.residuals.scores {
+            for i in 0..p {
+                for j in 0..p {
+                    spread[(i, j)] += g[i] * g[j];
+                }
+            }
+        }
+        spread
+    }
+
+    /// Standard deviations by the sandwich H⁻¹ (Σ g gᵀ) H⁻¹ over windows (White 1982; clusters: Liang & Zeger 1986),
+    /// but no smaller than the curvature alone gives.
+    fn std(&self) -> Vec<f64> {
+        let plain = self.minimum.std();
+        let Some(inverse) = self.minimum.covariance() else { return plain };
+        let p = plain.len();
+        let sandwich = &inverse * self.spread(p) * &inverse;
+        (0..p).map(|i| sandwich[(i, i)].max(0.0).sqrt().max(plain[i])).collect()
     }
 }
 
@@ -57,45 +140,43 @@ pub fn windows(setup: &Setup, segments: &[Segment], walked: &Pass) -> Vec<Window
 
 /// Fits a hypothesis by short windows from one start, re-estimating each output's noise.
 fn fit_windows(
+    setup: &Setup,
     simulator: &dyn Simulator,
     hypothesis: &Hypothesis,
     windows: &[Window],
-    variance: &[f64],
-    floor: &[f64],
     start: &[f64],
-) -> (Minimum, f64, Vec<f64>) {
+) -> Shot {
     let (n, p) = (simulator.states(), simulator.parameters());
-    let mut variance = variance.to_vec();
+    // Residuals are at least the sensor's noise; the initial states take up some of it.
+    let floor: Vec<f64> = setup.output_noise.iter().map(|s| 0.25 * s * s).collect();
+    let mut variance: Vec<f64> = setup.output_noise.iter().map(|s| 4.0 * s * s).collect();
     let mut windows = windows.to_vec();
-    let mut last = Residuals::default();
-    let minimum = minimise(&hypothesis.fitted, start, 25, |theta, accepted| {
+    let mut residuals = Residuals::default();
+    let minimum = minimise(&hypothesis.fitted, start, ITERATIONS, |theta, accepted| {
         let mut run = simulator.run(theta);
-        let (mut local, residuals) = shoot(&mut *run, &mut windows, n, p, &variance);
+        let (mut local, found) = shoot(&mut *run, &mut windows, n, p, &variance);
         if accepted {
+            let outputs = found.counts.iter().filter(|c| **c > 0).count().max(1);
             let mut changed = false;
             for (o, v) in variance.iter_mut().enumerate() {
-                let free = residuals.counts[o].saturating_sub(n * windows.len() / variance_count(&residuals)).max(1);
-                let fresh = (residuals.squares[o] / free as f64).max(floor[o]);
+                let free = found.counts[o].saturating_sub(n * windows.len() / outputs).max(1);
+                let fresh = (found.squares[o] / free as f64).max(floor[o]);
                 changed |= (fresh / *v).ln().abs() > 0.02;
                 *v = fresh;
             }
+            residuals = found;
             if changed {
-                local = shoot(&mut *run, &mut windows, n, p, &variance).0;
+                (local, residuals) = shoot(&mut *run, &mut windows, n, p, &variance);
             }
         }
         if !local.cost.is_finite() {
             local.cost = f64::INFINITY;
         }
-        last = residuals;
         local
     });
-    let readings: usize = last.counts.iter().sum();
+    let readings: usize = residuals.counts.iter().sum();
     let cost = minimum.cost + p as f64 * (readings.max(1) as f64).ln();
-    (minimum, cost, variance)
-}
-
-fn variance_count(residuals: &Residuals) -> usize {
-    residuals.counts.iter().filter(|c| **c > 0).count().max(1)
+    Shot { minimum, cost, residuals }
 }
 
 /// The nominal model, refitted: the null hypothesis.
@@ -106,18 +187,29 @@ pub fn null(setup: &Setup) -> Fit {
     let start: Vec<f64> = hypothesis.fitted.iter().map(|f| f.null).collect();
     let walked = walk(&simulator, &setup.train, &setup.noise, &setup.noise.initial, &start);
     let noise = walked.refit_noise(&setup.noise.scale, &setup.noise.initial, &setup.noise.limits, setup.noise.process_floor);
-    let innovation = fit(&simulator, &hypothesis, &setup.train, &setup.noise, &noise, &start);
+    let innovation = fit(&simulator, &hypothesis, &setup.train, &setup.noise, &noise, &start, ITERATIONS);
     let windows = windows(setup, &setup.train, &innovation.pass);
-    let (floor, variance) = variances(setup);
-    let (shooting, shooting_cost, _) =
-        fit_windows(&simulator, &hypothesis, &windows, &variance, &floor, &innovation.minimum.theta);
-    Fit { hypothesis, residuals: Vec::new(), innovation, shooting, shooting_cost }
+    let shot = fit_windows(setup, &simulator, &hypothesis, &windows, &innovation.minimum.theta);
+    assemble(setup, hypothesis, Vec::new(), innovation, shot)
 }
 
-fn variances(setup: &Setup) -> (Vec<f64>, Vec<f64>) {
-    let floor: Vec<f64> = setup.output_noise.iter().map(|s| 0.25 * s * s).collect();
-    let variance = setup.output_noise.iter().map(|s| 4.0 * s * s).collect();
-    (floor, variance)
+fn assemble(
+    setup: &Setup,
+    hypothesis: Hypothesis,
+    residuals: Vec<Residual>,
+    innovation: InnovationFit,
+    shot: Shot,
+) -> Fit {
+    Fit {
+        hypothesis,
+        residuals,
+        innovation,
+        shooting_cost: shot.cost,
+        shooting_error: shot.error(setup),
+        shooting_std: shot.std(),
+        independence: shot.independence(),
+        shooting: shot.minimum,
+    }
 }
 
 /// Fits a hypothesis: every start by short windows, the best of them by innovation likelihood.
@@ -125,26 +217,42 @@ fn variances(setup: &Setup) -> (Vec<f64>, Vec<f64>) {
 pub fn fit_hypothesis(setup: &Setup, null: &Fit, hypothesis: Hypothesis, residuals: Vec<Residual>) -> Fit {
     let simulator = library::simulator(setup, &hypothesis, residuals.clone());
     let windows = windows(setup, &setup.train, &null.innovation.pass);
-    let (floor, variance) = variances(setup);
-    let mut best: Option<(Minimum, f64)> = None;
-    for mut start in hypothesis.starts() {
-        continue_from(null, &hypothesis, &mut start);
-        let (minimum, cost, _) = fit_windows(&simulator, &hypothesis, &windows, &variance, &floor, &start);
-        if best.as_ref().is_none_or(|(_, c)| cost < *c) {
-            best = Some((minimum, cost));
+    let mut best: Option<Shot> = None;
+    let mut starts = hypothesis.starts();
+    for start in &mut starts {
+        continue_from(null, &hypothesis, start);
+        let shot = fit_windows(setup, &simulator, &hypothesis, &windows, start);
+        if best.as_ref().is_none_or(|b| shot.cost < b.cost) {
+            best = Some(shot);
         }
     }
-    let (shooting, shooting_cost) = best.unwrap_or_else(|| (null.shooting.clone(), f64::INFINITY));
+    let Some(shot) = best else { return null.clone() };
     let mut innovation =
-        fit(&simulator, &hypothesis, &setup.train, &setup.noise, &null.innovation.noise, &shooting.theta);
+        fit(&simulator, &hypothesis, &setup.train, &setup.noise, &null.innovation.noise, &shot.minimum.theta, ITERATIONS);
     // The two losses can end in different minima; the effect's null is always a candidate.
     let mut start: Vec<f64> = hypothesis.fitted.iter().map(|f| f.starts.first().copied().unwrap_or(f.null)).collect();
     continue_from(null, &hypothesis, &mut start);
-    let other = fit(&simulator, &hypothesis, &setup.train, &setup.noise, &null.innovation.noise, &start);
+    let other = fit(&simulator, &hypothesis, &setup.train, &setup.noise, &null.innovation.noise, &start, ITERATIONS);
     if other.evidence_cost < innovation.evidence_cost {
         innovation = other;
     }
-    Fit { hypothesis, residuals, innovation, shooting, shooting_cost }
+    assemble(setup, hypothesis, residuals, innovation, shot)
+}
+
+/// Fits a hypothesis that extends another one, by innovation likelihood from a given start.
+#[must_use]
+pub fn fit_from(
+    setup: &Setup,
+    base: &Fit,
+    hypothesis: Hypothesis,
+    residuals: Vec<Residual>,
+    start: &[f64],
+) -> Fit {
+    let simulator = library::simulator(setup, &hypothesis, residuals.clone());
+    // Weights enter linearly, so few steps reach the minimum.
+    let innovation =
+        fit(&simulator, &hypothesis, &setup.train, &setup.noise, &base.innovation.noise, start, 4);
+    Fit { hypothesis, residuals, innovation, ..base.clone() }
 }
 
 /// Puts the calibrated parameters where the null model's fit left them.
@@ -157,11 +265,15 @@ fn continue_from(null: &Fit, hypothesis: &Hypothesis, start: &mut [f64]) {
     }
 }
 
-/// Fits all single effects, in parallel.
+/// Fits all single effects, in parallel; `done` is told of each.
 #[must_use]
-pub fn singles(setup: &Setup, null: &Fit, effects: &[crate::hypothesis::EffectAt]) -> Vec<Fit> {
+pub fn singles(setup: &Setup, null: &Fit, effects: &[EffectAt], done: &(dyn Fn(&str) + Sync)) -> Vec<Fit> {
     effects
         .par_iter()
-        .map(|at| fit_hypothesis(setup, null, library::hypothesis(setup, std::slice::from_ref(at)), Vec::new()))
+        .map(|at| {
+            let fit = fit_hypothesis(setup, null, library::hypothesis(setup, std::slice::from_ref(at)), Vec::new());
+            done(&at.label());
+            fit
+        })
         .collect()
 }

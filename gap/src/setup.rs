@@ -64,10 +64,13 @@ pub struct JointScale {
 /// Share of the log that is held out for the quantification, as blocks spread over it.
 const BLOCKS: usize = 10;
 
+/// Readings of each output in a window.
+const READINGS_PER_WINDOW: f64 = 25.0;
+
 impl Setup {
     /// Looks at the data once, without judging it.
     #[must_use]
-    pub fn new(equations: Equations, experiment: Experiment, horizon: Option<f64>) -> Self {
+    pub fn new(equations: Equations, mut experiment: Experiment, horizon: Option<f64>) -> Self {
         let outputs = experiment.wraps.len();
         let period = (0..outputs)
             .filter(|o| experiment.output(*o).0.len() > 2)
@@ -85,6 +88,11 @@ impl Setup {
             .collect();
         let output_scale: Vec<f64> =
             (0..outputs).map(|o| standard_deviation(&noise::unwrapped(&experiment.output(o).1, experiment.wraps[o]))).collect();
+        // A window is described by a few dozen readings. Faster ones would weigh what happens between two samples,
+        // such as vibration and quantisation, above what the simulator is asked for.
+        let thin = ((horizon / READINGS_PER_WINDOW / period) + 1e-6).floor().max(1.0) as usize;
+        experiment.thin(thin);
+        let period = period * thin as f64;
         let (state, std) = guess(&equations, &experiment, &output_scale, period);
         let (train, test) = segments(&experiment, horizon, &state, &std);
         let scale: Vec<f64> =
@@ -110,6 +118,13 @@ impl Setup {
                 std: standard_deviation(&h.values),
             })
             .collect();
+        // Steps end at every change of a command, so they are no longer than its period.
+        let step = experiment
+            .inputs
+            .iter()
+            .map(|h| crate::statistics::median(&mut h.times.windows(2).map(|w| w[1] - w[0]).collect::<Vec<_>>()))
+            .filter(|p| *p > 0.0)
+            .fold(period, f64::min);
         let mut setup = Setup {
             equations,
             experiment,
@@ -118,7 +133,7 @@ impl Setup {
             train,
             test,
             horizon,
-            step: period.min(0.01 * (period / 0.01).max(1.0)),
+            step,
             period,
             joints: Vec::new(),
             output_scale,
@@ -145,6 +160,7 @@ impl Setup {
         let mut rates = vec![Vec::new(); n];
         let mut speeds = vec![Vec::new(); joints];
         let mut forces = vec![Vec::new(); joints];
+        let mut inertias = vec![Vec::new(); joints];
         for (k, stamp) in pass.stamp.iter().enumerate() {
             let states = &pass.state[k * n..(k + 1) * n];
             let inputs: Vec<f64> = self.experiment.inputs.iter().map(|h| h.at(*stamp)).collect();
@@ -156,6 +172,7 @@ impl Setup {
             for j in 0..joints {
                 let joint = self.equations.joint(j, &point, &values.lets);
                 speeds[j].push(joint.velocity);
+                inertias[j].extend(joint.inertia);
                 let inertial = || {
                     let state = self.equations.system().joints[j].velocity_state?;
                     Some(joint.inertia? * values.derivatives[state])
@@ -177,8 +194,12 @@ impl Setup {
             .map(|j| {
                 let speed = root_mean_square(&speeds[j]).max(1e-12);
                 let force = root_mean_square(&forces[j]).max(1e-12);
-                // Steep enough to be dry friction at working speeds.
-                JointScale { speed, force, smoothing: std::env::var("EPS").ok().and_then(|v| v.parse::<f64>().ok()).unwrap_or(0.02) * speed }
+                let inertia = crate::statistics::median(&mut inertias[j]);
+                // Steep enough to be dry friction at working speeds; no steeper than the integrator stands: a
+                // friction of a quarter of the driving force may change the speed by half this in one step.
+                let stable = if inertia > 0.0 { 0.125 * force * self.step / inertia } else { 0.02 * speed };
+                let smoothing = (0.002 * speed).max(stable);
+                JointScale { speed, force, smoothing }
             })
             .collect();
     }

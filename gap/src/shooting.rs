@@ -44,6 +44,8 @@ pub struct Residuals {
     pub squares: Vec<f64>,
     /// Readings per output.
     pub counts: Vec<usize>,
+    /// Half the gradient of the cost by θ, window by window.
+    pub scores: Vec<Vec<f64>>,
 }
 
 /// The cost of the windows at the run's parameters, initial states eliminated.
@@ -58,7 +60,7 @@ pub fn shoot(
 ) -> (Local, Residuals) {
     let (n, p) = (states, parameters);
     let mut total = Local { cost: 0.0, information: vec![0.0; p * p], gradient: vec![0.0; p] };
-    let mut residuals = Residuals { squares: vec![0.0; variance.len()], counts: vec![0; variance.len()] };
+    let mut residuals = Residuals { squares: vec![0.0; variance.len()], counts: vec![0; variance.len()], scores: Vec::new() };
     let mut normal = Normal::new(n, p);
     for window in windows {
         let Some((first, end)) = locate(run.events(), window.from, window.to) else { continue };
@@ -87,7 +89,9 @@ pub fn shoot(
             }
         }
         normal.march(run, first, end, window, variance, Some(&mut residuals));
+        let before = total.gradient.clone();
         normal.eliminate(window, &mut total);
+        residuals.scores.push(total.gradient.iter().zip(&before).map(|(after, b)| after - b).collect());
     }
     for (count, v) in residuals.counts.iter().zip(variance) {
         total.cost += *count as f64 * v.ln();

@@ -1,1 +1,370 @@
 //! `report.html`: one self-contained page with plots.
+
+use super::answer::{Answer, answers};
+use super::draw::{self, Pen, escape, typeset};
+use super::overlay;
+use super::readings::Readings;
+use super::{Confusable, Overlay, Report, bars, format};
+
+/// Answers less probable than this are listed by name only.
+const WORTH_A_ROW: f64 = 0.0005;
+/// At most so many answers have a row of their own.
+const ROWS: usize = 8;
+
+/// Writes the page: HTML that is well-formed XML too, with its styles, plots and script inside; it asks the network
+/// for nothing. Light or dark as the reader's system is, and black on white in print.
+///
+/// ```
+/// # use parallax_gap::report::{Overlay, Report, html};
+/// # fn save(report: &Report, overlays: &[Overlay]) -> std::io::Result<()> {
+/// std::fs::write("report.html", html::page(report, overlays))
+/// # }
+/// ```
+#[must_use]
+pub fn page(report: &Report, overlays: &[Overlay]) -> String {
+    let answers = answers(report);
+    let body = [
+        verdict(report, &answers),
+        overlays_section(report, overlays),
+        format!("<div class=\"pair\">{}{}</div>", which(&answers), where_(report)),
+        how_far(report),
+        calibration(report),
+        unexplained(report),
+        confusable(&report.confusable),
+        format!("<div class=\"pair even\">{}{}</div>", absorbed(report), not_testable(report)),
+        footer(report),
+    ];
+    format!(
+        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>\n\
+         <meta name=\"color-scheme\" content=\"light dark\"/>\n<title>Diagnosis of {system}</title>\n\
+         <style>\n{colours}{page}{plot}</style>\n</head>\n<body>\n<main>\n{body}</main>\n\
+         <script>\n{script}</script>\n</body>\n</html>\n",
+        system = escape(&report.system),
+        colours = colours(),
+        page = include_str!("page.css"),
+        plot = draw::STYLE,
+        body = body.concat(),
+        script = include_str!("page.js"),
+    )
+}
+
+/// The colours as variables, for light and dark screens; print is always light.
+fn colours() -> String {
+    let list = |pick: fn(&(&str, &str, &str)) -> String| draw::COLOURS.iter().map(pick).collect::<String>();
+    let light = list(|(name, light, _)| format!("--{name}:{light};"));
+    let dark = list(|(name, _, dark)| format!("--{name}:{dark};"));
+    format!(":root{{{light}}}\n@media screen and (prefers-color-scheme:dark){{:root{{{dark}}}}}\n")
+}
+
+/// A number of the page: escaped, with true minus signs and unbroken spaces.
+fn set(number: &str) -> String {
+    escape(&typeset(number))
+}
+
+fn section(title: &str, note: &str, content: &str) -> String {
+    let note = if note.is_empty() { String::new() } else { format!("<p class=\"note\">{note}</p>\n") };
+    format!("<section>\n<h2>{title}</h2>\n{note}{content}</section>\n")
+}
+
+/// `delay` in bold, its place beside it.
+fn effect_html(name: &str, place: &str) -> String {
+    format!("<b>{}</b><span class=\"place\">@{}</span>", escape(name), escape(place))
+}
+
+fn answer_html(answer: &Answer<'_>) -> String {
+    if answer.effects.is_empty() {
+        return format!("<b>{}</b>", escape(answer.word));
+    }
+    let effects = answer.effects.iter().map(|effect| effect_html(&effect.name, &effect.place));
+    effects.collect::<Vec<_>>().join(" + ")
+}
+
+fn verdict(report: &Report, answers: &[Answer<'_>]) -> String {
+    let tile = |label: &str, value: &str, note: &str| {
+        format!("<div><dt>{label}</dt><dd>{value}</dd><dd class=\"note\">{note}</dd></div>\n")
+    };
+    let gap = &report.gap;
+    let detected = if gap.detected { "Detected" } else { "None" };
+    let p = format!("{} by chance", set(&format::p_value(gap.p_value)));
+    let cause = match answers.first() {
+        Some(answer) => (
+            answer_html(answer),
+            format!("{} probable", set(&format::probability(answer.probability))),
+        ),
+        None => (format::UNKNOWN.to_owned(), "no answer was tried".to_owned()),
+    };
+    let (closed, ends) = format::interval(&report.how_far.closed_by_effect);
+    let ends = match ends {
+        Some(ends) => format!("95 % interval {}", set(&ends)),
+        None if !gap.detected => "there is nothing to close".to_owned(),
+        None => "of what calibration leaves".to_owned(),
+    };
+    format!(
+        "<header>\n<p class=\"kicker\">Parallax diagnosis of <b>{}</b></p>\n<h1>{}</h1>\n<dl class=\"verdict\">\n{}{}{}{}\
+         </dl>\n</header>\n",
+        escape(&report.system),
+        escape(&report.summary).replace(" %", "\u{a0}%"),
+        tile("Gap", detected, &p),
+        tile("Size", &set(&format::number(gap.score, 3)), "noise units, after calibration"),
+        tile("Cause", &cause.0, &cause.1),
+        tile("Closed by the effect", &set(&closed), &ends),
+    )
+}
+
+fn overlays_section(report: &Report, overlays: &[Overlay]) -> String {
+    let mut readings: Vec<Readings<'_>> = overlays.iter().map(Readings::new).collect();
+    readings.retain(|readings| !readings.stamp.is_empty());
+    readings.sort_by(|a, b| b.improvement().total_cmp(&a.improvement()));
+    if readings.is_empty() {
+        return section("Measured and predicted", "", "<p>No held-out readings were kept.</p>\n");
+    }
+    let horizon = set(&format::number(report.how_far.horizon_s, 3));
+    let note = format!(
+        "Held-out time, which no fit has seen. Each prediction runs {horizon}\u{a0}s from a state estimated from \
+         earlier samples only. Before: the nominal system with its parameters refitted. Residual: predicted minus \
+         measured."
+    );
+    let figures: String = readings.iter().map(|readings| figure(readings, report.how_far.horizon_s)).collect();
+    section("Measured and predicted", &note, &figures)
+}
+
+fn figure(readings: &Readings<'_>, horizon: f64) -> String {
+    let mut caption = format!("<b>{}</b>", escape(readings.output));
+    let in_units = |error: Option<f64>| set(&error.map_or(format::UNKNOWN.to_owned(), |e| format::number(e, 3)));
+    let unit = if readings.noise.is_some() { String::from("noise units") } else { readings.unit.to_owned() };
+    let unit = escape(&unit);
+    if readings.after.is_empty() {
+        caption.push_str(&format!(": RMS error {} {unit}.", in_units(readings.error(&readings.before))));
+    } else {
+        let (before, after) = (readings.error(&readings.before), readings.error(&readings.after));
+        caption.push_str(&format!(": RMS error {} → {} {unit}.", in_units(before), in_units(after)));
+    }
+    if let Some(noise) = readings.noise {
+        let noise = format!("{}{}", format::number(noise, 2), format::unit(readings.unit));
+        caption.push_str(&format!(" One noise unit is {}; shaded: ±2 of them.", set(&noise)));
+    }
+    if readings.detail(4.0 * horizon).is_some() {
+        caption.push_str(" The stretch marked in colour is drawn again, larger.");
+    }
+    format!(
+        "<figure>\n{}{}<figcaption><p class=\"readout\"></p><p>{caption}</p></figcaption>\n</figure>\n",
+        overlay::plot(readings, false, horizon),
+        overlay::plot(readings, true, horizon),
+    )
+}
+
+fn which(answers: &[Answer<'_>]) -> String {
+    let shown = answers
+        .iter()
+        .enumerate()
+        .take_while(|(i, answer)| *i == 0 || (*i < ROWS && answer.probability >= WORTH_A_ROW))
+        .count();
+    let mut rows = String::new();
+    for (i, answer) in answers[..shown].iter().enumerate() {
+        let class = if i == 0 { "bar-after" } else { "bar-plain" };
+        let lead = if i == 0 { " class=\"lead\"" } else { "" };
+        let mut parameters = String::new();
+        for effect in answer.effects {
+            for (key, value) in &effect.parameters {
+                let value = set(&format::uncertain(value));
+                parameters.push_str(&format!("<span>{} <b>{value}</b></span> ", escape(key)));
+            }
+        }
+        let mut below = String::new();
+        if !parameters.is_empty() {
+            below.push_str(&format!("<p class=\"parameters\">{}</p>", parameters.trim_end()));
+        }
+        if !answer.alike.is_empty() {
+            let alike: Vec<String> = answer.alike.iter().map(|name| escape(name)).collect();
+            below.push_str(&format!("<p class=\"note\">alike in this data: {}</p>", alike.join(", ")));
+        }
+        rows.push_str(&format!(
+            "<li{lead}><div class=\"row\"><span>{}</span><b class=\"number\">{}</b></div>{}{below}</li>\n",
+            answer_html(answer),
+            set(&format::probability(answer.probability)),
+            bars::share(answer.probability, class, None),
+        ));
+    }
+    let mut content = format!("<ol class=\"answers\">\n{rows}</ol>\n");
+    if shown < answers.len() {
+        let names: Vec<String> = answers[shown..].iter().map(|answer| escape(&answer.name())).collect();
+        content.push_str(&format!(
+            "<p class=\"note\">Also tried, less probable: {}.</p>\n",
+            names.join(", ")
+        ));
+    }
+    section("Which cause", "Probabilities of classes that this data can tell apart.", &content)
+}
+
+fn where_(report: &Report) -> String {
+    if report.where_.is_empty() {
+        return section("Where", "", "<p>No place stands out.</p>\n");
+    }
+    let mut places: Vec<_> = report.where_.iter().collect();
+    let order = |p: f64| if p.is_nan() { f64::NEG_INFINITY } else { p };
+    places.sort_by(|a, b| order(b.probability).total_cmp(&order(a.probability)));
+    let row = |place: &&super::Where| {
+        format!(
+            "<li><p class=\"place\">{}</p><div class=\"pairbar\"><span>probability</span>{}<b class=\"number\">{}</b>\
+             <span>share</span>{}<b class=\"number\">{}</b></div></li>\n",
+            escape(&place.place),
+            bars::share(place.probability, "bar-after", None),
+            set(&format::probability(place.probability)),
+            bars::share(place.share, "bar-plain", None),
+            set(&format::share(place.share)),
+        )
+    };
+    let mut content = format!("<ol class=\"answers\">\n{}</ol>\n", places.iter().take(ROWS).map(row).collect::<String>());
+    if places.len() > ROWS {
+        let rest: Vec<String> = places[ROWS..].iter().map(|place| escape(&place.place)).collect();
+        content.push_str(&format!("<p class=\"note\">Also considered: {}.</p>\n", rest.join(", ")));
+    }
+    section("Where", "Share: how much of the gap the best effect there explains.", &content)
+}
+
+fn how_far(report: &Report) -> String {
+    let how_far = &report.how_far;
+    let draw = |class: &str, width: f64| {
+        let mut pen = Pen::default();
+        bars::how_far(&mut pen, how_far, (0.0, 4.0), width);
+        pen.finish(class, width, bars::HOW_FAR_HEIGHT + 4.0, "Errors of prediction; the table holds the same")
+    };
+    let row = |(name, value, _): &(&str, f64, &str)| {
+        let value = set(&format::number(*value, 3));
+        format!("<tr><th scope=\"row\">{}</th><td class=\"number\">{value}</td></tr>", escape(name))
+    };
+    let table: String = bars::rows(how_far).iter().map(row).collect();
+    let closed = |name: &str, note: &str, interval: &super::Interval| {
+        let (value, ends) = format::interval(interval);
+        let ends = ends.map_or(String::new(), |ends| format!(" <span>95 % interval {}</span>", set(&ends)));
+        format!(
+            "<div><dt>{name}</dt><dd><b>{}</b>{ends}{}</dd><dd class=\"note\">{note}</dd></div>\n",
+            set(&value),
+            bars::share(interval.value, "bar-after", Some((interval.low, interval.high))),
+        )
+    };
+    let content = format!(
+        "<div class=\"pair\"><figure class=\"errors\">{}{}<table class=\"unseen\"><caption>Root mean square errors of prediction in \
+         noise units</caption>{table}</table></figure>\n<dl class=\"closed\">\n{}{}</dl></div>\n{}",
+        draw("plot wide", 620.0),
+        draw("plot narrow", 360.0),
+        closed(
+            "Closed in all",
+            "of the mean square error of the nominal system above the noise floor",
+            &how_far.closed_total
+        ),
+        closed("Closed by the effect", "of what calibration alone leaves", &how_far.closed_by_effect),
+        report.corrected_system.as_ref().map_or(String::new(), |path| format!(
+            "<p>The corrected system, with the effect added and the calibrated values set: <code>{}</code></p>\n",
+            escape(path)
+        )),
+    );
+    let horizon = set(&format::number(how_far.horizon_s, 3));
+    let note = format!(
+        "Held-out time, predicted {horizon}\u{a0}s ahead. Bars start at the noise floor. The black box is a flexible \
+         residual on top of the effect: what it gains is still unexplained."
+    );
+    section("How far it goes", &note, &content)
+}
+
+fn calibration(report: &Report) -> String {
+    if report.calibration.is_empty() {
+        return section("Calibration", "", "<p>The system declares no parameter to calibrate.</p>\n");
+    }
+    let row = |row: &super::Calibration| {
+        let change = (row.value - row.nominal) / row.nominal;
+        let moved = (row.value - row.nominal) / row.std;
+        let percent = if change.is_finite() { set(&signed(&format::share(change))) } else { "–".into() };
+        let moved = if moved.is_finite() { format!("{} σ", signed(&format::number(moved, 2))) } else { "–".into() };
+        let (class, mark) = if row.significant { (" class=\"moved\"", "● moved") } else { ("", "") };
+        format!(
+            "<tr{class}><th scope=\"row\">{}</th><td>{}</td><td>{}</td><td class=\"unit\">{}</td><td>{percent}</td>\
+             <td>{}</td><td class=\"mark\">{mark}</td></tr>\n",
+            escape(&row.name),
+            set(&format::number(row.nominal, 6)),
+            set(&format::plus_minus(row.value, row.std)),
+            escape(row.unit.trim()),
+            set(&moved),
+        )
+    };
+    let rows: String = report.calibration.iter().map(row).collect();
+    let table = format!(
+        "<div class=\"scroll\"><table>\n<thead><tr><th scope=\"col\">parameter</th><th scope=\"col\">nominal</th>\
+         <th scope=\"col\">fitted ± std</th><th scope=\"col\" class=\"unit\">unit</th><th scope=\"col\">change</th>\
+         <th scope=\"col\">in std</th><th scope=\"col\"></th></tr></thead>\n<tbody>\n{rows}</tbody>\n</table></div>\n"
+    );
+    let note = "Parameters that the system allows to be refitted, under the leading answer. Moved: by more than two \
+                standard deviations.";
+    section("Calibration", note, &table)
+}
+
+fn signed(number: &str) -> String {
+    if number.starts_with(['-', '–']) || number.starts_with("0 ") { number.to_owned() } else { format!("+{number}") }
+}
+
+fn unexplained(report: &Report) -> String {
+    let unexplained = &report.unexplained;
+    let probability = set(&format::probability(unexplained.probability));
+    let share = set(&format::share(unexplained.share));
+    let content = format!(
+        "<div class=\"pairbar long\"><span>no named effect is the cause</span>{}<b class=\"number\">{probability}</b>\
+         <span>share of the gap left to a flexible residual</span>{}<b class=\"number\">{share}</b></div>\n",
+        bars::share(unexplained.probability, "bar-plain", None),
+        bars::share(unexplained.share, "bar-plain", None),
+    );
+    section("Unexplained", "", &content)
+}
+
+fn confusable(list: &[Confusable]) -> String {
+    if list.is_empty() {
+        return section("What would settle it", "", "<p>No likely answers look alike in this data.</p>\n");
+    }
+    let item = |confusable: &Confusable| {
+        let effects: Vec<String> =
+            confusable.effects.iter().map(|effect| format!("<code>{}</code>", escape(effect))).collect();
+        format!("<dt>{}</dt><dd>{}</dd>\n", effects.join(" or "), escape(&confusable.separate_by))
+    };
+    let items: String = list.iter().map(item).collect();
+    let note = "This data cannot tell these apart; beside them, what would.";
+    section("What would settle it", note, &format!("<dl class=\"list\">\n{items}</dl>\n"))
+}
+
+fn absorbed(report: &Report) -> String {
+    let item = |absorbed: &super::Absorbed| {
+        format!(
+            "<dt><code>{}</code></dt><dd>is covered by the calibrated <code>{}</code></dd>\n",
+            escape(&absorbed.effect),
+            escape(&absorbed.by)
+        )
+    };
+    let items: String = report.absorbed.iter().map(item).collect();
+    let note = "Effects that calibration already covers; they are no alternatives.";
+    list("Absorbed", note, &items)
+}
+
+fn not_testable(report: &Report) -> String {
+    let item = |untested: &super::NotTestable| {
+        format!("<dt><code>{}</code></dt><dd>{}</dd>\n", escape(&untested.effect), escape(&untested.reason))
+    };
+    let items: String = report.not_testable.iter().map(item).collect();
+    list("Not testable here", "Effects that this system or this log cannot show.", &items)
+}
+
+fn list(title: &str, note: &str, items: &str) -> String {
+    if items.is_empty() {
+        return section(title, "", "<p>None.</p>\n");
+    }
+    section(title, note, &format!("<dl class=\"list\">\n{items}</dl>\n"))
+}
+
+fn footer(report: &Report) -> String {
+    let recordings: Vec<String> = report.recordings.iter().map(|title| escape(title)).collect();
+    let recordings = if recordings.is_empty() { format::UNKNOWN.to_owned() } else { recordings.join("; ") };
+    format!(
+        "<footer>\n<p>System: <b>{}</b>. Recordings: {recordings}.</p>\n<p>Written by Parallax {}; the same numbers \
+         are in report.json.</p>\n</footer>\n",
+        escape(&report.system),
+        env!("CARGO_PKG_VERSION"),
+    )
+}

@@ -1,0 +1,404 @@
+//! The diagnosis from end to end: bind, fit, weigh, localise, quantify, report.
+
+use std::collections::BTreeMap;
+
+use parallax_model::effect::{Effect, PlaceKind};
+use parallax_model::system::{EffectEntry, Equations, System};
+use parallax_runtime::recording::log::Log;
+
+use crate::bind::{BindError, bind};
+use crate::detect;
+use crate::experiment::Experiment;
+use crate::hypothesis::{EffectAt, Slot};
+use crate::innovation::walk;
+use crate::library;
+use crate::posterior::{self, Answer};
+use crate::quantify::{self, Row};
+use crate::report::{
+    Absorbed, Calibration, Confusable, FittedEffect, Gap, HowFar, NotTestable, Overlay, Report, Unexplained, Value, Where, Which,
+};
+use crate::search::{self, Fit};
+use crate::setup::Setup;
+use crate::signature::{self, Nuisance};
+use crate::unknown;
+
+/// What a caller may choose.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Length of windows and predictions (s); by default a quarter of a second, or ten samples if that is longer.
+    pub horizon: Option<f64>,
+    /// Seed of the simulated nulls and bootstraps.
+    pub seed: u64,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Options { horizon: None, seed: 1 }
+    }
+}
+
+/// Why a diagnosis could not be made.
+#[derive(Debug, thiserror::Error)]
+pub enum DiagnosisError {
+    /// System and recording do not fit.
+    #[error(transparent)]
+    Bind(#[from] BindError),
+    /// The system already states effects, which this version does not fit on top of.
+    #[error("{file}: the system contains {count} [[effect]] entries; diagnose the nominal file without them")]
+    HasEffects {
+        /// The system's file.
+        file: String,
+        /// How many.
+        count: usize,
+    },
+    /// The log is too short for the windows.
+    #[error("recording `{title}` spans {span} s; windows of {horizon} s need at least {needed} s. Record longer, or shorten the horizon")]
+    Short {
+        /// The recording.
+        title: String,
+        /// Its length (s).
+        span: f64,
+        /// The window (s).
+        horizon: f64,
+        /// What is needed (s).
+        needed: f64,
+    },
+    /// The nominal model cannot be run along the log.
+    #[error("{file}: the nominal system gives numbers that are not finite along recording `{title}`; check its equations and initial values against the log's range")]
+    NotFinite {
+        /// The system's file.
+        file: String,
+        /// The recording.
+        title: String,
+    },
+}
+
+/// What comes out: the report, what its plots need, and what a corrected system needs.
+#[derive(Clone, Debug)]
+pub struct Diagnosis {
+    /// The report.
+    pub report: Report,
+    /// One overlay per output.
+    pub overlays: Vec<Overlay>,
+    /// Calibrated and freed parameters of the nominal system, by name.
+    pub calibrated: Vec<(String, f64)>,
+    /// The effects of the leading answer.
+    pub effects: Vec<EffectEntry>,
+}
+
+/// Diagnoses one recording. `progress` is told what is done, from 0 to 1.
+///
+/// # Errors
+///
+/// [`DiagnosisError`] when system and recording do not fit together or the log cannot carry a diagnosis.
+pub fn diagnose(
+    system: &System,
+    log: &Log,
+    options: &Options,
+    progress: &(dyn Fn(f64, &str) + Sync),
+) -> Result<Diagnosis, DiagnosisError> {
+    if !system.effects.is_empty() {
+        return Err(DiagnosisError::HasEffects { file: system.file.clone(), count: system.effects.len() });
+    }
+    let (equations, experiment) = bind(system, log)?;
+    diagnose_experiment(equations, experiment, &log.title, options, progress)
+}
+
+/// Diagnoses one recording that is already bound to a system; `title` is its name in the report.
+///
+/// # Errors
+///
+/// [`DiagnosisError`] when the log cannot carry a diagnosis.
+pub fn diagnose_experiment(
+    equations: Equations,
+    experiment: Experiment,
+    title: &str,
+    options: &Options,
+    progress: &(dyn Fn(f64, &str) + Sync),
+) -> Result<Diagnosis, DiagnosisError> {
+    let setup = Setup::new(equations, experiment, options.horizon);
+    let (from, to) = setup.experiment.span();
+    if setup.train.is_empty() || setup.test.is_empty() {
+        return Err(DiagnosisError::Short {
+            title: title.into(),
+            span: to - from,
+            horizon: setup.horizon,
+            needed: 12.0 * setup.horizon,
+        });
+    }
+    progress(0.0, "nominal model");
+    let null = search::null(&setup);
+    if !null.innovation.minimum.cost.is_finite() {
+        return Err(DiagnosisError::NotFinite { file: setup.equations.system().file.clone(), title: title.into() });
+    }
+    let nuisance = Nuisance::new(&null);
+    let (candidates, mut not_testable) = library::candidates(&setup);
+    let (candidates, columns, absorbed) = screen(&setup, &null, &nuisance, candidates, &mut not_testable);
+
+    let done = std::sync::atomic::AtomicUsize::new(0);
+    let fits = search::singles(&setup, &null, &candidates, &|label| {
+        let k = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
+        progress(0.1 + 0.6 * k as f64 / candidates.len() as f64, label);
+    });
+    progress(0.72, "unknowns");
+    let answers = posterior::weigh(&setup, &null, &nuisance, fits);
+    let mut columns = columns;
+    columns.extend(unknown::kinds(&setup).into_iter().map(|kind| unknown::columns(&setup, &null, kind)));
+    let p_value = detect::p_value(&nuisance, &columns, options.seed);
+    progress(0.92, "held-out time");
+    Ok(conclude(&setup, title, options, Found { null, answers, p_value, not_testable, absorbed }))
+}
+
+/// What the search found, before the conclusions.
+struct Found {
+    null: Fit,
+    answers: posterior::Posterior,
+    p_value: f64,
+    not_testable: Vec<library::NotTestable>,
+    absorbed: Vec<Absorbed>,
+}
+
+/// Share of a sensitivity's length that must be left beyond the calibrated parameters for an effect to be its own.
+const ABSORBED: f64 = 0.03;
+
+/// Leaves out effects that calibrated parameters cover or that leave no trace in this log.
+fn screen(
+    setup: &Setup,
+    null: &Fit,
+    nuisance: &Nuisance,
+    candidates: Vec<EffectAt>,
+    not_testable: &mut Vec<library::NotTestable>,
+) -> (Vec<EffectAt>, Vec<nalgebra::DMatrix<f64>>, Vec<Absorbed>) {
+    let (mut kept, mut kept_columns, mut absorbed) = (Vec::new(), Vec::new(), Vec::new());
+    for effect in candidates {
+        let columns = signature::columns(setup, null, &effect);
+        let own = nuisance.project_columns(&columns);
+        let (before, after) = (columns.norm(), own.norm());
+        if !(before > 1e-9) {
+            let reason = "it leaves no trace in these readings".to_owned();
+            not_testable.push(library::NotTestable { effect, reason });
+        } else if after < ABSORBED * before {
+            absorbed.push(Absorbed { effect: effect.label(), by: absorber(null, &columns) });
+        } else {
+            kept.push(effect);
+            kept_columns.push(columns);
+        }
+    }
+    (kept, kept_columns, absorbed)
+}
+
+/// The calibrated parameter that moves most when it takes an effect's place.
+fn absorber(null: &Fit, columns: &nalgebra::DMatrix<f64>) -> String {
+    let p = null.hypothesis.fitted.len();
+    let all = null.innovation.pass.whitened_by_parameter();
+    let by = (0..p).max_by(|a, b| {
+        let cosine = |j: usize| {
+            let v = nalgebra::DVector::from_iterator(columns.nrows(), all.iter().skip(j).step_by(p).copied());
+            columns.column_iter().map(|c| signature::cosine(&c.into_owned(), &v)).fold(0.0, f64::max)
+        };
+        cosine(*a).total_cmp(&cosine(*b))
+    });
+    by.map_or_else(String::new, |j| null.hypothesis.fitted[j].name.clone())
+}
+
+fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diagnosis {
+    let Found { null, answers, p_value, not_testable, absorbed } = found;
+    let system = setup.equations.system();
+    let best = answers.leader(&null);
+    let named = answers.answers.first().map_or(0.0, |a| a.probability) > answers.unexplained;
+    let detected = p_value < 0.01 && answers.no_gap < 0.5;
+
+    let row = |fit: &Fit| {
+        let simulator = library::simulator(setup, &fit.hypothesis, fit.residuals.clone());
+        quantify::predict(setup, &simulator, fit.estimate(), &fit.innovation.noise)
+    };
+    let nominal_theta: Vec<f64> = null.hypothesis.fitted.iter().map(|f| f.null).collect();
+    let simulator = library::simulator(setup, &null.hypothesis, Vec::new());
+    let pass = walk(&simulator, &setup.train, &setup.noise, &null.innovation.noise, &nominal_theta);
+    let noise = pass.refit_noise(&setup.noise.scale, &null.innovation.noise, &setup.noise.limits, setup.noise.process_floor);
+    let nominal = quantify::predict(setup, &simulator, &nominal_theta, &noise);
+    let refitted = row(&null);
+    let with_effect = if detected && named { row(best) } else { refitted.clone() };
+    let black_box = answers.residual(named).map_or_else(|| with_effect.clone(), row);
+
+    let rms = |r: &Row| r.mean_square().sqrt();
+    let how_far = HowFar {
+        horizon_s: setup.horizon,
+        nominal: rms(&nominal),
+        refitted: rms(&refitted),
+        with_effect: rms(&with_effect),
+        black_box: rms(&black_box),
+        noise_floor: 1.0,
+        closed_total: quantify::closed(&nominal, &with_effect, options.seed),
+        closed_by_effect: quantify::closed(&refitted, &with_effect, options.seed),
+    };
+    let gap_square = (refitted.mean_square() - 1.0).max(1e-12);
+    let left = (with_effect.mean_square() - black_box.mean_square()).max(0.0);
+    let unexplained = Unexplained {
+        probability: answers.unexplained,
+        share: if detected { (left / gap_square).min(1.0) } else { 0.0 },
+    };
+    let overlays =
+        (0..setup.experiment.wraps.len()).map(|o| quantify::overlay(setup, o, &refitted, &with_effect)).collect();
+
+    let shown = if detected && named { best } else { &null };
+    let report = Report {
+        summary: String::new(),
+        system: system.name.clone(),
+        recordings: vec![title.into()],
+        gap: Gap { detected, p_value, score: rms(&refitted) },
+        calibration: calibration(setup, shown),
+        where_: places(&answers),
+        which: which(setup, &answers),
+        unexplained,
+        absorbed,
+        not_testable: not_testable
+            .into_iter()
+            .map(|n| NotTestable { effect: n.effect.label(), reason: n.reason })
+            .collect(),
+        confusable: confusable(&answers),
+        how_far,
+        corrected_system: None,
+    };
+    let mut diagnosis =
+        Diagnosis { report, overlays, calibrated: corrected_values(setup, shown), effects: corrected_effects(setup, shown) };
+    diagnosis.report.summary = crate::sentence::summary(&diagnosis.report);
+    diagnosis
+}
+
+fn calibration(setup: &Setup, fit: &Fit) -> Vec<Calibration> {
+    let (theta, std) = (fit.estimate(), fit.std());
+    let mut out = Vec::new();
+    for (k, f) in fit.hypothesis.fitted.iter().enumerate() {
+        let Slot::Nominal(index) = f.slot else { continue };
+        if setup.equations.system().parameters[index].calibrate.is_none() {
+            continue;
+        }
+        out.push(Calibration {
+            name: f.name.clone(),
+            nominal: f.null,
+            value: theta[k],
+            std: std[k],
+            unit: f.unit.clone(),
+            significant: (theta[k] - f.null).abs() > 2.0 * std[k],
+        });
+    }
+    out
+}
+
+/// The effects of a fit, with their parameters.
+fn fitted_effects(setup: &Setup, fit: &Fit) -> Vec<FittedEffect> {
+    let (theta, std) = (fit.estimate(), fit.std());
+    fit.hypothesis
+        .effects
+        .iter()
+        .enumerate()
+        .map(|(e, at)| {
+            let mut parameters = BTreeMap::new();
+            for (k, f) in fit.hypothesis.fitted.iter().enumerate() {
+                let own = match f.slot {
+                    Slot::Effect { effect, .. } => effect == e,
+                    Slot::Nominal(index) => {
+                        at.effect == Effect::Parameter && library::place_index(setup, &at.place) == Some(index)
+                    }
+                    Slot::Weight(_) => false,
+                };
+                if own {
+                    parameters
+                        .insert(f.name.clone(), Value { value: theta[k], std: std[k], unit: f.unit.clone() });
+                }
+            }
+            FittedEffect { name: at.effect.name().into(), place: at.place.to_string(), parameters }
+        })
+        .collect()
+}
+
+fn which(setup: &Setup, posterior: &posterior::Posterior) -> Vec<Which> {
+    let mut out: Vec<Which> = posterior
+        .answers
+        .iter()
+        .map(|answer| Which {
+            effects: fitted_effects(setup, &answer.fit),
+            class: answer.class.clone(),
+            probability: answer.probability,
+        })
+        .collect();
+    out.push(Which { effects: Vec::new(), class: Vec::new(), probability: posterior.no_gap });
+    out.sort_by(|a, b| b.probability.total_cmp(&a.probability));
+    out
+}
+
+fn places(posterior: &posterior::Posterior) -> Vec<Where> {
+    let mut by_place: BTreeMap<String, Where> = BTreeMap::new();
+    for answer in &posterior.answers {
+        for (member, probability, share) in &answer.members {
+            let entry = by_place.entry(member.place.to_string()).or_insert_with(|| Where {
+                place: member.place.to_string(),
+                share: 0.0,
+                probability: 0.0,
+            });
+            entry.share = entry.share.max(*share);
+            entry.probability += probability;
+        }
+    }
+    let mut out: Vec<Where> = by_place.into_values().collect();
+    out.sort_by(|a, b| b.probability.total_cmp(&a.probability).then(b.share.total_cmp(&a.share)));
+    out
+}
+
+fn confusable(posterior: &posterior::Posterior) -> Vec<Confusable> {
+    posterior
+        .answers
+        .iter()
+        .filter(|a: &&Answer| a.class.len() > 1 && a.probability > 0.01)
+        .map(|answer| Confusable {
+            effects: answer.class.clone(),
+            separate_by: separation(&answer.members.iter().map(|m| m.0.clone()).collect::<Vec<_>>()),
+        })
+        .collect()
+}
+
+/// What tells the members of a class apart, from what is known of each pair.
+fn separation(members: &[EffectAt]) -> String {
+    let has = |effect: Effect, kind: PlaceKind| members.iter().any(|m| m.effect == effect && m.place.kind == kind);
+    let any = |effect: Effect| members.iter().any(|m| m.effect == effect);
+    if has(Effect::Delay, PlaceKind::Input) && has(Effect::Delay, PlaceKind::Output) {
+        "a second sensor with its own stamps, or a disturbance that the sensor sees and the command does not".into()
+    } else if any(Effect::Delay) && any(Effect::Lag) {
+        "a chirp on the command up to the highest frequency the sampling allows".into()
+    } else if any(Effect::Bias) && any(Effect::Offset) {
+        "a reference pose held without command".into()
+    } else if any(Effect::Coulomb) && any(Effect::AsymmetricFriction) {
+        "slow ramps in both directions at equal load".into()
+    } else if any(Effect::Parameter) {
+        "a measurement of one of the parameters by itself, such as weighing the load".into()
+    } else {
+        "an excitation with other amplitudes and frequencies".into()
+    }
+}
+
+fn corrected_values(setup: &Setup, fit: &Fit) -> Vec<(String, f64)> {
+    let theta = fit.estimate();
+    let system = setup.equations.system();
+    let fitted = fit.hypothesis.fitted.iter().zip(theta);
+    fitted
+        .filter_map(|(f, value)| match f.slot {
+            Slot::Nominal(index) => Some((system.parameters[index].name.clone(), *value)),
+            _ => None,
+        })
+        .collect()
+}
+
+fn corrected_effects(setup: &Setup, fit: &Fit) -> Vec<EffectEntry> {
+    fitted_effects(setup, fit)
+        .into_iter()
+        // A parameter with another value is written as that value.
+        .filter(|e| e.name != Effect::Parameter.name())
+        .map(|e| EffectEntry {
+            name: e.name,
+            place: e.place,
+            parameters: e.parameters.into_iter().map(|(name, v)| (name, v.value)).collect(),
+            line: 0,
+        })
+        .collect()
+}

@@ -1,0 +1,172 @@
+//! The weights of the answers: evidence, tempered, gathered into classes that the data cannot tell apart.
+
+use nalgebra::DVector;
+
+use crate::hypothesis::EffectAt;
+use crate::search::{Fit, INEXACT};
+use crate::setup::Setup;
+use crate::signature::{self, Nuisance, SAME};
+use crate::unknown::{self, Choice};
+use rayon::prelude::*;
+
+/// Temperature of the log posterior: readings are less independent than the likelihood believes.
+const TEMPERATURE: f64 = 2.0;
+
+/// Prior probability that there is no gap, and that no named effect describes it; effects share the rest equally.
+const PRIOR_NO_GAP: f64 = 0.3;
+const PRIOR_UNKNOWN: f64 = 0.1;
+
+/// Difference of −2 log evidence that says nothing about which of two effects it is.
+const EQUAL: f64 = 2.0;
+
+/// Difference of −2 log evidence from which two effects of like signature are told apart all the same.
+const DECISIVE: f64 = 20.0;
+
+/// One answer: a leading effect and those that cannot be told from it.
+#[derive(Clone, Debug)]
+pub struct Answer {
+    /// The leader's fit.
+    pub fit: Fit,
+    /// Labels of the class, the leader first.
+    pub class: Vec<String>,
+    /// Members of the class with their probability and the share of the training gap that each closes.
+    pub members: Vec<(EffectAt, f64, f64)>,
+    /// Probability of the class.
+    pub probability: f64,
+}
+
+/// All answers, by probability.
+#[derive(Clone, Debug)]
+pub struct Posterior {
+    /// Classes of single effects.
+    pub answers: Vec<Answer>,
+    /// Probability that there is no gap.
+    pub no_gap: f64,
+    /// Probability that no named effect belongs to the cause.
+    pub unexplained: f64,
+    residual_alone: Option<Fit>,
+    residual_on_leader: Option<Fit>,
+}
+
+impl Posterior {
+    /// The fit of the leading answer; the null fit where there is none.
+    #[must_use]
+    pub fn leader<'a>(&'a self, null: &'a Fit) -> &'a Fit {
+        self.answers.first().map_or(null, |a| &a.fit)
+    }
+
+    /// The best residual: on top of the leading answer, or alone.
+    #[must_use]
+    pub fn residual(&self, on_leader: bool) -> Option<&Fit> {
+        if on_leader { self.residual_on_leader.as_ref() } else { self.residual_alone.as_ref() }
+    }
+}
+
+/// Weighs single effects, no gap and the unknowns.
+#[must_use]
+pub fn weigh(setup: &Setup, null: &Fit, nuisance: &Nuisance, mut fits: Vec<Fit>) -> Posterior {
+    let judge = Judge::new(null, &fits);
+    fits.sort_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
+    lead_with_the_simplest(&mut fits, &judge);
+    let each = (1.0 - PRIOR_NO_GAP - PRIOR_UNKNOWN) / fits.len().max(1) as f64;
+    let log_null = PRIOR_NO_GAP.ln();
+    let logs: Vec<f64> =
+        fits.iter().map(|f| -0.5 * (judge.cost(f) - judge.cost(null)) / TEMPERATURE + each.ln()).collect();
+    let largest = logs.iter().copied().fold(log_null, f64::max);
+    let total: f64 = logs.iter().chain([&log_null]).map(|l| (l - largest).exp()).sum();
+
+    // The unknowns stand alone and on top of the leading effect: if the effect adds nothing to them, it is no cause.
+    let alone: Vec<(Choice, Fit)> =
+        unknown::kinds(setup)
+            .into_par_iter()
+            .map(|kind| {
+                let choice = unknown::choose(setup, null, kind);
+                (choice, unknown::fit_unknown(setup, null, null, choice))
+            })
+            .collect();
+    let alone = alone.into_iter().min_by(|a, b| a.1.innovation.evidence_cost.total_cmp(&b.1.innovation.evidence_cost));
+    let together = alone.as_ref().zip(fits.first()).map(|((choice, _), best)| unknown::fit_unknown(setup, null, best, *choice));
+    let alone = alone.map(|(_, fit)| fit);
+    let named = [Some(null), fits.first(), together.as_ref()].into_iter().flatten();
+    let named = named.map(|f| f.innovation.evidence_cost).fold(f64::INFINITY, f64::min);
+    let unexplained = alone.as_ref().map_or(0.0, |alone| {
+        let odds = (-0.5 * (alone.innovation.evidence_cost - named) / TEMPERATURE).exp() * PRIOR_UNKNOWN
+            / (1.0 - PRIOR_UNKNOWN);
+        if odds.is_finite() { odds / (1.0 + odds) } else { 1.0 }
+    });
+    let probability = |log: f64| (1.0 - unexplained) * (log - largest).exp() / total;
+
+    let signatures: Vec<DVector<f64>> =
+        fits.iter().map(|f| nuisance.project(&signature::of_fit(setup, null, f))).collect();
+    let gap = null.shooting_error;
+    let floor = 1.0;
+    let share = |f: &Fit| ((gap - f.shooting_error) / (gap - floor).max(1e-9)).clamp(0.0, 1.0);
+    let mut taken = vec![false; fits.len()];
+    let mut answers = Vec::new();
+    for leader in 0..fits.len() {
+        if taken[leader] {
+            continue;
+        }
+        let mut answer =
+            Answer { fit: fits[leader].clone(), class: Vec::new(), members: Vec::new(), probability: 0.0 };
+        for k in leader..fits.len() {
+            let near = judge.cost(&fits[k]) - judge.cost(&fits[leader]) < DECISIVE;
+            let alike = k == leader || (near && signature::cosine(&signatures[leader], &signatures[k]) > SAME);
+            if taken[k] || !alike {
+                continue;
+            }
+            taken[k] = true;
+            let p = probability(logs[k]);
+            answer.probability += p;
+            answer.class.push(fits[k].hypothesis.label());
+            if let Some(at) = fits[k].hypothesis.effects.first() {
+                answer.members.push((at.clone(), p, share(&fits[k])));
+            }
+        }
+        answers.push(answer);
+    }
+    answers.sort_by(|a, b| b.probability.total_cmp(&a.probability));
+    Posterior {
+        answers,
+        no_gap: probability(log_null),
+        unexplained,
+        residual_alone: alone,
+        residual_on_leader: together,
+    }
+}
+
+/// Which loss decides, and what it says of a fit.
+///
+/// Where some hypothesis reaches the sensors' noise, the innovation likelihood is that of the data, and its evidence
+/// decides. Where none does, as on any real machine, its innovations are ruled by what every hypothesis lacks; the
+/// short windows judge what a simulator is for, and count as many readings as their correlation leaves.
+struct Judge {
+    independence: Option<f64>,
+}
+
+impl Judge {
+    fn new(null: &Fit, fits: &[Fit]) -> Self {
+        let best = fits.iter().chain([null]).min_by(|a, b| a.shooting_error.total_cmp(&b.shooting_error));
+        let independence = best.filter(|b| b.shooting_error > INEXACT).map(|b| b.independence);
+        Judge { independence }
+    }
+
+    /// −2 log evidence, up to a constant.
+    fn cost(&self, fit: &Fit) -> f64 {
+        match self.independence {
+            Some(share) => share * fit.shooting_cost,
+            None => fit.innovation.evidence_cost,
+        }
+    }
+}
+
+/// Among the fits that the evidence does not tell apart from the best, the one with the fewest parameters leads; of
+/// equals the first in the library's order, which puts commands before readings.
+fn lead_with_the_simplest(fits: &mut [Fit], judge: &Judge) {
+    let Some(best) = fits.first().map(|f| judge.cost(f)) else { return };
+    let equal = fits.iter().take_while(|f| judge.cost(f) - best < EQUAL).count();
+    fits[..equal].sort_by(|a, b| {
+        let key = |f: &Fit| (f.hypothesis.fitted.len(), f.hypothesis.effects.clone());
+        key(a).cmp(&key(b))
+    });
+}

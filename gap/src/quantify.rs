@@ -1,0 +1,141 @@
+//! How far: errors of prediction over the horizon on held-out time, each from a state estimated by earlier samples.
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use crate::filter::Noise;
+use crate::innovation::{Segment, walk};
+use crate::report::{Interval, Overlay};
+use crate::setup::Setup;
+use crate::simulator::{Prediction, Simulator, Transition, wrapped};
+
+/// Squared errors of the predictions that start at one time: the block of the bootstrap.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Block {
+    /// Sum of squared errors in noise units.
+    pub squares: f64,
+    /// How many readings were predicted.
+    pub count: usize,
+}
+
+/// Predictions of one row of the table.
+#[derive(Clone, Debug, Default)]
+pub struct Row {
+    /// Errors by start.
+    pub blocks: Vec<Block>,
+    /// Every predicted reading: output, stamp, measured, predicted.
+    pub readings: Vec<(usize, f64, f64, f64)>,
+}
+
+impl Row {
+    /// Mean squared error in noise units squared.
+    #[must_use]
+    pub fn mean_square(&self) -> f64 {
+        let count: usize = self.blocks.iter().map(|b| b.count).sum();
+        self.blocks.iter().map(|b| b.squares).sum::<f64>() / count.max(1) as f64
+    }
+}
+
+/// Predicts the held-out segments.
+///
+/// The filter runs up to each start, from two horizons before the segment where the log allows; from there the
+/// model runs free to the horizon. Starts follow each other by one horizon, so that every reading is predicted once.
+#[must_use]
+pub fn predict(setup: &Setup, simulator: &dyn Simulator, theta: &[f64], noise: &Noise) -> Row {
+    let mut row = Row::default();
+    let n = simulator.states();
+    let (begin, _) = setup.experiment.span();
+    let mut transition = Transition::default();
+    let mut prediction = Prediction::default();
+    for segment in &setup.test {
+        let from = (segment.from - 2.0 * setup.horizon).max(begin);
+        let wide = Segment { from, ..segment.clone() };
+        let pass = walk(simulator, std::slice::from_ref(&wide), &setup.noise, noise, theta);
+        let mut run = simulator.run(theta);
+        // The filter needs readings before the first start, or it knows no speed.
+        let mut start = segment.from.max(from + setup.horizon);
+        while start + 0.5 * setup.horizon < segment.to {
+            let end = (start + setup.horizon).min(segment.to);
+            let Some(last) = pass.stamp.iter().rposition(|s| *s < start) else { break };
+            let mut x = pass.state[last * n..(last + 1) * n].to_vec();
+            let mut block = Block::default();
+            let mut index = pass.event[last];
+            while index + 1 < run.events().len() {
+                run.advance(index, &mut x, &mut transition);
+                index += 1;
+                let Some(reading) = run.events()[index].reading else {
+                    // A late reading may come after events that are past the end.
+                    if run.events()[index].time > end + 2.0 * setup.horizon {
+                        break;
+                    }
+                    continue;
+                };
+                if reading.stamp >= end {
+                    break;
+                }
+                if reading.stamp < start {
+                    continue;
+                }
+                run.observe(index, &x, &mut prediction);
+                let error = wrapped(reading.value - prediction.value, run.wrap(reading.output));
+                let unit = setup.output_noise[reading.output];
+                block.squares += (error / unit).powi(2);
+                block.count += 1;
+                row.readings.push((reading.output, reading.stamp, reading.value, reading.value - error));
+            }
+            row.blocks.push(block);
+            start += setup.horizon;
+        }
+    }
+    row
+}
+
+/// 1 − (MSE after − floor)/(MSE before − floor), with a bootstrap interval over the starts.
+///
+/// The floor is one noise unit squared. Where there was no gap to close the share is zero.
+#[must_use]
+pub fn closed(before: &Row, after: &Row, seed: u64) -> Interval {
+    let share = |b: f64, a: f64| {
+        let gap = b - 1.0;
+        if gap > 1e-9 { (1.0 - (a - 1.0).max(0.0) / gap).clamp(-10.0, 1.0) } else { 0.0 }
+    };
+    let blocks = before.blocks.len().min(after.blocks.len());
+    let value = share(before.mean_square(), after.mean_square());
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut draws: Vec<f64> = (0..1000)
+        .filter_map(|_| {
+            let (mut b, mut a, mut count) = (0.0, 0.0, 0);
+            for _ in 0..blocks {
+                let k = random.random_range(0..blocks);
+                b += before.blocks[k].squares;
+                a += after.blocks[k].squares;
+                count += before.blocks[k].count;
+            }
+            (count > 0).then(|| share(b / count as f64, a / count as f64))
+        })
+        .collect();
+    draws.sort_by(f64::total_cmp);
+    let at = |q: f64| draws.get((draws.len() as f64 * q) as usize).copied().unwrap_or(value);
+    Interval { value, low: at(0.025).min(value), high: at(0.975).max(value) }
+}
+
+/// The overlay of an output from two rows that predicted the same readings.
+#[must_use]
+pub fn overlay(setup: &Setup, output: usize, before: &Row, after: &Row) -> Overlay {
+    let stated = &setup.equations.system().outputs[output];
+    let mut overlay = Overlay {
+        output: stated.name.clone(),
+        unit: stated.unit.clone(),
+        noise: setup.output_noise[output],
+        ..Overlay::default()
+    };
+    let mut later = after.readings.iter().filter(|r| r.0 == output);
+    for (_, stamp, measured, predicted) in before.readings.iter().filter(|r| r.0 == output) {
+        let Some((_, _, _, with)) = later.by_ref().find(|r| r.1 == *stamp) else { break };
+        overlay.stamp.push(*stamp);
+        overlay.measured.push(*measured);
+        overlay.before.push(*predicted);
+        overlay.after.push(*with);
+    }
+    overlay
+}

@@ -1,0 +1,101 @@
+//! A diagnosis as one picture: the overlay of the output that improved most, the answers, how far they go.
+
+use super::answer::{Answer, answers};
+use super::bars;
+use super::draw::{self, Anchor, Pen};
+use super::format;
+use super::overlay::{self, Frame};
+use super::readings::Readings;
+use super::{Overlay, Report};
+
+const WIDTH: f64 = 1000.0;
+const HEIGHT: f64 = 520.0;
+/// Left edge of the column with the answers.
+const RIGHT: f64 = 676.0;
+
+/// Draws the figure: a standalone SVG of 1000 × 520 px on white, for pages that cannot hold the report itself.
+///
+/// ```
+/// # use parallax_gap::report::{Report, svg};
+/// # fn show(report: &Report) {
+/// let picture = svg::figure(report, &[]);
+/// assert!(picture.starts_with("<svg"));
+/// # }
+/// ```
+#[must_use]
+pub fn figure(report: &Report, overlays: &[Overlay]) -> String {
+    let mut pen = Pen::default();
+    pen.raw(&format!("<style>{}</style>", draw::style_on_paper()));
+    pen.rect("paper", (0.0, 0.0), (WIDTH, HEIGHT));
+    let mut y = 34.0;
+    // Narrow enough for the widest of the usual fonts.
+    let lines = format::wrap(&report.summary, 88);
+    for (i, line) in lines.iter().take(3).enumerate() {
+        let more = if i == 2 && lines.len() > 3 { " …" } else { "" };
+        pen.text("title", (24.0, y), Anchor::Start, &format!("{line}{more}"));
+        y += 22.0;
+    }
+    pen.text("soft", (24.0, y), Anchor::Start, &format::clip(&source(report), 130));
+    let top = y + 40.0;
+
+    let readings: Vec<Readings<'_>> = overlays.iter().map(Readings::new).collect();
+    // The first wins where nothing improves, so that the picture does not depend on rounding.
+    let mut chosen = readings.first();
+    for candidate in &readings {
+        if chosen.is_some_and(|best| candidate.improvement() > best.improvement()) {
+            chosen = Some(candidate);
+        }
+    }
+    match chosen.filter(|readings| !readings.stamp.is_empty()) {
+        Some(readings) => {
+            overlay::legend(&mut pen, readings, 24.0, top, false);
+            let detail = readings.detail(4.0 * report.how_far.horizon_s);
+            let width = if detail.is_some() { 344.0 } else { 620.0 };
+            // The panels take what the title leaves.
+            let frame = Frame { x: 24.0, y: top + 16.0, width, values: 320.0 - top, residuals: 92.0 };
+            overlay::column(&mut pen, readings, &readings.pieces, detail.as_ref(), frame, false);
+            if let Some(detail) = detail {
+                let frame = Frame { x: 384.0, width: 264.0, ..frame };
+                overlay::column(&mut pen, readings, &[detail], None, frame, false);
+            }
+        }
+        None => pen.text("soft", (24.0, top), Anchor::Start, "No held-out readings were kept."),
+    }
+    draw_answers(&mut pen, &answers(report), top);
+    let corner = (RIGHT, HEIGHT - bars::HOW_FAR_HEIGHT - 16.0);
+    let horizon = format::number(report.how_far.horizon_s, 3);
+    let head = format!("How far, {horizon} s ahead on held-out time");
+    pen.text("head", (RIGHT, corner.1 - 12.0), Anchor::Start, &head);
+    bars::how_far(&mut pen, &report.how_far, corner, WIDTH - RIGHT - 24.0);
+    pen.finish("figure", WIDTH, HEIGHT, &report.summary)
+}
+
+fn source(report: &Report) -> String {
+    match report.recordings.as_slice() {
+        [] => report.system.clone(),
+        [one] => format!("{}; {one}", report.system),
+        [first, rest @ ..] => format!("{}; {first} and {} more", report.system, rest.len()),
+    }
+}
+
+fn draw_answers(pen: &mut Pen, answers: &[Answer<'_>], top: f64) {
+    pen.text("head", (RIGHT, top), Anchor::Start, "Which cause");
+    let (left, right) = (RIGHT, WIDTH - 24.0);
+    let mut y = top + 24.0;
+    for (i, answer) in answers.iter().take(5).enumerate() {
+        let name = format::clip(&answer.name(), 40);
+        pen.text(if i == 0 { "strong" } else { "plain" }, (left, y), Anchor::Start, &name);
+        let probability = draw::typeset(&format::probability(answer.probability));
+        pen.text("strong", (right, y), Anchor::End, &probability);
+        pen.rect("bar-track", (left, y + 5.0), (right - left, 6.0));
+        let part = if answer.probability.is_finite() { answer.probability.clamp(0.0, 1.0) } else { 0.0 };
+        let class = if i == 0 { "bar-after" } else { "bar-plain" };
+        pen.rect(class, (left, y + 5.0), ((right - left) * part, 6.0));
+        y += 30.0;
+        if i == 0 && !answer.effects.is_empty() {
+            let parameters = format::clip(&answer.parameters().join(", "), 52);
+            pen.text("small", (left, y - 5.0), Anchor::Start, &draw::typeset(&parameters));
+            y += 14.0;
+        }
+    }
+}

@@ -1,0 +1,123 @@
+//! Signatures: what an effect leaves in the innovations of the null model, and which effects look alike.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::innovation::walk;
+use crate::library;
+use crate::search::Fit;
+use crate::setup::Setup;
+
+/// Cosine from which two signatures count as one.
+pub const SAME: f64 = 0.97;
+
+/// The nuisance directions of a log: what the calibrated parameters can produce, as an orthonormal basis.
+#[derive(Clone, Debug)]
+pub struct Nuisance {
+    basis: DMatrix<f64>,
+    /// Whitened innovations of the null fit.
+    pub innovations: DVector<f64>,
+}
+
+impl Nuisance {
+    /// From the null fit.
+    #[must_use]
+    pub fn new(null: &Fit) -> Self {
+        let innovations = DVector::from_vec(null.innovation.pass.whitened());
+        let p = null.hypothesis.fitted.len();
+        let rows = null.innovation.pass.readings();
+        let columns = DMatrix::from_row_slice(rows, p, &null.innovation.pass.whitened_by_parameter()[..rows * p]);
+        Nuisance { basis: orthonormal(&columns), innovations }
+    }
+
+    /// Innovations without nuisance directions.
+    #[cfg(test)]
+    pub(crate) fn plain(innovations: DVector<f64>) -> Self {
+        Nuisance { basis: DMatrix::zeros(innovations.len(), 0), innovations }
+    }
+
+    /// A signature with the nuisance directions projected out.
+    #[must_use]
+    pub fn project(&self, signature: &DVector<f64>) -> DVector<f64> {
+        signature - &self.basis * (self.basis.transpose() * signature)
+    }
+
+    /// Columns with the nuisance directions projected out.
+    #[must_use]
+    pub fn project_columns(&self, columns: &DMatrix<f64>) -> DMatrix<f64> {
+        columns - &self.basis * (self.basis.transpose() * columns)
+    }
+}
+
+/// An orthonormal basis of the columns' span; columns that add less than a millionth of their length are left out.
+#[must_use]
+pub fn orthonormal(columns: &DMatrix<f64>) -> DMatrix<f64> {
+    let mut basis: Vec<DVector<f64>> = Vec::new();
+    for column in columns.column_iter() {
+        let mut v = column.into_owned();
+        let length = v.norm();
+        // Twice is enough (Giraud, Langou & Rozložník 2005).
+        for _ in 0..2 {
+            for b in &basis {
+                let along = b.dot(&v);
+                v.axpy(-along, b, 1.0);
+            }
+        }
+        let left = v.norm();
+        if length.is_finite() && length > 0.0 && left > 1e-6 * length {
+            basis.push(v / left);
+        }
+    }
+    if basis.is_empty() { DMatrix::zeros(columns.nrows(), 0) } else { DMatrix::from_columns(&basis) }
+}
+
+/// What a fit changes in the whitened innovations of the null model: the effect's own part of them.
+///
+/// Both walks use the null model's noise, so that they weigh readings alike.
+#[must_use]
+pub fn of_fit(setup: &Setup, null: &Fit, fit: &Fit) -> DVector<f64> {
+    let simulator = library::simulator(setup, &fit.hypothesis, fit.residuals.clone());
+    let with = walk(&simulator, &setup.train, &setup.noise, &null.innovation.noise, fit.theta());
+    let mut theta = fit.theta().to_vec();
+    for (value, fitted) in theta.iter_mut().zip(&fit.hypothesis.fitted) {
+        // Calibrated parameters keep their place: the signature is the effect's alone.
+        let calibrated = null.hypothesis.fitted.iter().any(|f| f.slot == fitted.slot);
+        if !calibrated {
+            *value = fitted.null;
+        }
+    }
+    let without = walk(&simulator, &setup.train, &setup.noise, &null.innovation.noise, &theta);
+    DVector::from_vec(without.whitened()) - DVector::from_vec(with.whitened())
+}
+
+/// Derivatives of the null model's whitened innovations by an effect's own parameters, at a small effect.
+#[must_use]
+pub fn columns(setup: &Setup, null: &Fit, effect: &crate::hypothesis::EffectAt) -> DMatrix<f64> {
+    let hypothesis = library::hypothesis(setup, std::slice::from_ref(effect));
+    let simulator = library::simulator(setup, &hypothesis, Vec::new());
+    let theta: Vec<f64> = hypothesis
+        .fitted
+        .iter()
+        .map(|f| match null.hypothesis.fitted.iter().position(|n| n.slot == f.slot) {
+            Some(index) => null.theta()[index],
+            None => f.starts.first().copied().unwrap_or(f.null),
+        })
+        .collect();
+    let pass = walk(&simulator, &setup.train, &setup.noise, &null.innovation.noise, &theta);
+    let p = hypothesis.fitted.len();
+    let all = DMatrix::from_row_slice(pass.readings(), p, &pass.whitened_by_parameter());
+    let own: Vec<DVector<f64>> = hypothesis
+        .fitted
+        .iter()
+        .enumerate()
+        .filter(|(_, f)| !null.hypothesis.fitted.iter().any(|n| n.slot == f.slot))
+        .map(|(j, f)| all.column(j) * f.scale)
+        .collect();
+    if own.is_empty() { DMatrix::zeros(pass.readings(), 0) } else { DMatrix::from_columns(&own) }
+}
+
+/// Cosine between two vectors, 0 where one vanishes.
+#[must_use]
+pub fn cosine(a: &DVector<f64>, b: &DVector<f64>) -> f64 {
+    let lengths = a.norm() * b.norm();
+    if lengths > 0.0 && lengths.is_finite() { (a.dot(b) / lengths).abs() } else { 0.0 }
+}
