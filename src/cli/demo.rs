@@ -24,7 +24,7 @@ pub(crate) struct Arguments {
     #[arg(long)]
     seed: Option<u64>,
     /// How long to run.
-    #[arg(long, value_name = "SECONDS", default_value = "20", value_parser = duration)]
+    #[arg(long, value_name = "SECONDS", default_value = "20", value_parser = duration, allow_negative_numbers = true)]
     duration: Nanos,
     /// The folder for recording.mcap, report.json and report.html.
     #[arg(long, value_name = "DIR", default_value = "out/demo")]

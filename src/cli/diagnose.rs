@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow};
 use clap::Args;
 use parallax_gap::diagnosis::{Diagnosis, Options, diagnose};
-use parallax_gap::report::Report;
+use parallax_gap::report::{Report, html};
 use parallax_gap::sentence::with_uncertainty;
 use parallax_model::system::System;
 use parallax_runtime::import::{self, read_system_text};
@@ -27,7 +27,7 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "DIR", default_value = "out/diagnosis")]
     out: PathBuf,
     /// How far ahead predictions are scored; by default a quarter of a second, or ten samples if that is longer.
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
     horizon: Option<f64>,
     /// Seed of the simulated comparisons.
     #[arg(long, default_value_t = 1)]
@@ -94,6 +94,9 @@ impl Loaded {
                 )));
             }
         };
+        let recorded: Vec<(&str, &str)> =
+            log.signals.iter().map(|signal| (signal.name.as_str(), signal.unit.as_str())).collect();
+        system.check_signals(&recorded).input()?;
         Ok(Self { log, text, system })
     }
 
@@ -113,7 +116,7 @@ impl Loaded {
     }
 
     fn write(&self, diagnosis: Diagnosis, out: &Path) -> Result<Report, Failure> {
-        let Diagnosis { mut report, calibrated, effects, .. } = diagnosis;
+        let Diagnosis { mut report, overlays, calibrated, effects } = diagnosis;
         let save = |name: &str, text: &str| {
             let path = out.join(name);
             std::fs::write(&path, text)
@@ -131,7 +134,7 @@ impl Loaded {
             Err(error) => eprintln!("warning: no corrected system is written: {error}"),
         }
         save("report.json", &serde_json::to_string_pretty(&report).map_err(Failure::runtime)?)?;
-
+        save("report.html", &html::page(&report, &overlays))?;
         Ok(report)
     }
 }

@@ -17,7 +17,7 @@ pub(crate) struct Arguments {
     /// A graph.toml, or `pendulum`.
     graph: String,
     /// How long to run; without it, until Ctrl-C.
-    #[arg(long, value_name = "SECONDS", value_parser = duration)]
+    #[arg(long, value_name = "SECONDS", value_parser = duration, allow_negative_numbers = true)]
     duration: Option<Nanos>,
     /// Seed of the nodes' random streams.
     #[arg(long, default_value_t = 0)]
@@ -35,7 +35,7 @@ pub(crate) struct Arguments {
     #[arg(long)]
     threads: bool,
     /// How long before its time a step polls instead of sleeping, for nodes with a core of their own.
-    #[arg(long, value_name = "SECONDS", value_parser = duration)]
+    #[arg(long, value_name = "SECONDS", value_parser = duration, allow_negative_numbers = true)]
     spin: Option<Nanos>,
     /// Leave nodes without a core to the system instead of spreading them over the cores.
     #[arg(long)]

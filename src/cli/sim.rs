@@ -20,7 +20,7 @@ pub(crate) struct Arguments {
     /// A graph.toml, or `pendulum`.
     graph: String,
     /// Simulated seconds.
-    #[arg(long, value_name = "SECONDS", default_value = "20", value_parser = duration)]
+    #[arg(long, value_name = "SECONDS", default_value = "20", value_parser = duration, allow_negative_numbers = true)]
     duration: Nanos,
     /// Seed of all randomness: one seed gives one run, bit for bit.
     #[arg(long, default_value_t = 0)]
@@ -29,7 +29,7 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "FILE.mcap")]
     out: Option<PathBuf>,
     /// Simulated seconds a second; without it, as fast as possible.
-    #[arg(long, value_name = "FACTOR")]
+    #[arg(long, value_name = "FACTOR", allow_negative_numbers = true)]
     real_time_factor: Option<f64>,
     /// Change a node: its rate, core or a parameter of its kind.
     #[arg(long = "node", value_name = "NODE.KEY=VALUE")]

@@ -239,7 +239,8 @@ fn bind(system: &System, expression: &Expression) -> Result<Bound, SystemError> 
                 .map(|p| p.name.as_str())
                 .chain(system.inputs.iter().map(|i| i.name.as_str()))
                 .chain(system.lets.iter().map(|l| l.name.as_str()))
-                .chain(system.states.iter().map(|s| s.name.as_str()));
+                .chain(system.states.iter().map(|s| s.name.as_str()))
+                .chain(system.unused.iter().map(String::as_str));
             let hint =
                 "; define it in [parameters], [inputs], [let] or [state], or in the recording's [constants]";
             return Err(expression.unknown_name(used, known, hint));

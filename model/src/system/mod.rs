@@ -81,6 +81,8 @@ pub struct System {
     pub joints: Vec<Joint>,
     /// In the order of the file.
     pub effects: Vec<EffectEntry>,
+    /// Names of constants that nothing uses: what a misspelt name may have meant.
+    unused: Vec<String>,
 }
 
 impl System {
@@ -129,7 +131,7 @@ impl System {
                     std: None,
                     line: 0,
                 }),
-                None => {}
+                None => system.unused.push(name.clone()),
             }
         }
         Ok(system)

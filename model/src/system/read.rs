@@ -75,6 +75,7 @@ pub(super) fn system(text: &str, file: &str) -> Result<System, SystemError> {
         outputs,
         joints: Vec::new(),
         effects: Vec::new(),
+        unused: Vec::new(),
     };
     system.joints = section(&root, "joints", "joint", |name, table| joint(name, &table.table()?, &system))?;
     if let Some(field) = root.field("effect") {

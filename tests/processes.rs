@@ -1,0 +1,112 @@
+//! Graphs in real time, from the command line: their end, their recordings, and what they leave behind.
+
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::fs;
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use parallax::runtime::recording::Recording;
+use serde_json::Value;
+
+fn parallax(arguments: &[&str]) -> Child {
+    Command::new(env!("CARGO_BIN_EXE_parallax"))
+        .args(arguments)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap()
+}
+
+/// The process of the node `name` that `launcher` started, once it is there.
+fn node_of(launcher: &Child, name: &str) -> u32 {
+    let start = Instant::now();
+    while start.elapsed() < Duration::from_secs(20) {
+        for entry in fs::read_dir("/proc").unwrap().flatten() {
+            let Ok(pid) = entry.file_name().to_string_lossy().parse::<u32>() else { continue };
+            let read = |file: &str| fs::read_to_string(entry.path().join(file)).unwrap_or_default();
+            let parent =
+                read("stat").rsplit(')').next().and_then(|rest| rest.split_whitespace().nth(1)?.parse().ok());
+            let arguments: Vec<String> = read("cmdline").split('\0').map(str::to_owned).collect();
+            if parent == Some(launcher.id()) && arguments.windows(2).any(|pair| pair == ["--node", name]) {
+                return pid;
+            }
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    panic!("no process of node {name}");
+}
+
+fn signal(name: &str, pid: u32) {
+    assert!(Command::new("kill").args([format!("-{name}"), pid.to_string()]).status().unwrap().success());
+}
+
+/// Waits until the recording holds something: the run is under way.
+fn until_recorded(path: &Path) {
+    let start = Instant::now();
+    while fs::metadata(path).map_or(0, |metadata| metadata.len()) < 20_000 {
+        assert!(start.elapsed() < Duration::from_secs(30), "nothing is recorded");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+fn text(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+#[test]
+fn a_run_is_recorded_and_replayed_exactly() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    let out = path.to_str().unwrap();
+    let output = parallax(&["run", "pendulum", "--duration", "1.5", "--out", out, "--json"])
+        .wait_with_output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output));
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(report["nodes"].as_array().unwrap().len(), 5);
+
+    let replay = parallax(&["replay", out, "--json"]).wait_with_output().unwrap();
+    assert_eq!(replay.status.code(), Some(0), "{}", text(&replay));
+    let replay: Value = serde_json::from_slice(&replay.stdout).unwrap();
+    assert_eq!(replay["exact"], true);
+    assert!(replay["steps"].as_u64().unwrap() > 450, "{replay}");
+}
+
+#[test]
+fn a_killed_node_is_noticed_and_the_recording_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    let launcher = parallax(&["run", "pendulum", "--duration", "60", "--out", path.to_str().unwrap()]);
+    until_recorded(&path);
+    let pid = node_of(&launcher, "camera");
+    signal("KILL", pid);
+    let output = launcher.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(3), "{}", text(&output));
+    assert!(text(&output).contains("error: node camera: "), "{}", text(&output));
+    let recording = Recording::read(&path).unwrap();
+    assert!(recording.faults.iter().any(|fault| fault.node == "camera"), "{:?}", recording.faults);
+    assert!(recording.node("camera").unwrap().steps.len() > 10);
+}
+
+#[test]
+fn an_interrupted_run_ends_in_order() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    let launcher = parallax(&["run", "pendulum", "--out", path.to_str().unwrap()]);
+    until_recorded(&path);
+    signal("INT", launcher.id());
+    let output = launcher.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(130), "{}", text(&output));
+    let recording = Recording::read(&path).unwrap();
+    assert_eq!((recording.truncated, recording.faults), (None, vec![]));
+}
+
+#[test]
+fn a_node_process_is_not_for_people() {
+    let output =
+        parallax(&["__node", "--run-dir", "/nowhere", "--node", "camera"]).wait_with_output().unwrap();
+    assert!(!output.status.success());
+    assert!(text(&output).contains("started by the launcher only"), "{}", text(&output));
+}
