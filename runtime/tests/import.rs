@@ -160,7 +160,11 @@ fn rows_that_cannot_be_read() {
     check_log("0.001", "nan", &["log.csv:3: column `t`: `nan` is not finite"]);
     check_log("0.001", "1e12", &["log.csv:3: column `t`: the time `1e12` is out of range"]);
     check_log("0.001", "noon", &["log.csv:3: column `t`: `noon` is not a number"]);
-    check_log("\n5e-3", "\n0.0005", &["log.csv:4: column `t`: time runs backwards, from 0.001 s to 0.0005 s"]);
+    check_log(
+        "\n5e-3",
+        "\n0.0005",
+        &["log.csv:4: column `t`: time runs backwards, from 0.001 s to 0.0005 s"],
+    );
     check_log("\n5e-3", "\n0.001", &["log.csv:4: column `t`: the time 0.001 s repeats"]);
     check_log(", 2 ,.125", ", 2", &["log.csv:4: the row has 2 cells, the header 3"]);
 }

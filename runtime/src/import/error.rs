@@ -126,23 +126,21 @@ pub enum ImportError {
     },
     /// A column that is not there.
     #[error(
-        "{csv} has no column `{column}`, which signal `{signal}` ({manifest}:{line}) names{suggestion} (it has: {available}){hint}"
+        "{csv} has no column `{column}`, which signal `{signal}` ({stated}) names{suggestion} (it has: {available}){hint}"
     )]
     MissingColumn {
         /// The CSV file.
-        csv: String,
+        csv: Box<str>,
         /// The column.
-        column: String,
+        column: Box<str>,
         /// The signal.
-        signal: String,
-        /// The `recording.toml`.
-        manifest: String,
-        /// Line of the signal.
-        line: usize,
+        signal: Box<str>,
+        /// The `recording.toml` and the line that names it.
+        stated: Box<str>,
         /// The nearest column.
         suggestion: Suggestion,
         /// All columns.
-        available: String,
+        available: Box<str>,
         /// What else may be wrong with the file.
         hint: &'static str,
     },

@@ -111,11 +111,10 @@ fn find(
             Err(ImportError::MissingColumn {
                 csv: csv.into(),
                 column: name.into(),
-                signal: signal.name.clone(),
-                manifest: manifest.into(),
-                line: signal.line,
+                signal: signal.name.as_str().into(),
+                stated: format!("{manifest}:{}", signal.line).into(),
                 suggestion: Suggestion::nearest(name, header.iter().map(String::as_str)),
-                available: header.join(", "),
+                available: header.join(", ").into(),
                 hint,
             })
         }

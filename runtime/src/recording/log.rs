@@ -136,13 +136,13 @@ pub struct Log {
 #[error("the recording `{title}` has no signal `{name}`{suggestion} (it has: {available})")]
 pub struct UnknownSignal {
     /// The recording's title.
-    pub title: String,
+    pub title: Box<str>,
     /// The name asked for.
-    pub name: String,
+    pub name: Box<str>,
     /// The nearest name.
     pub suggestion: Suggestion,
     /// All names.
-    pub available: String,
+    pub available: Box<str>,
 }
 
 impl Log {
@@ -154,10 +154,10 @@ impl Log {
     pub fn signal(&self, name: &str) -> Result<&Signal, UnknownSignal> {
         let names = || self.signals.iter().map(|signal| signal.name.as_str());
         self.signals.iter().find(|signal| signal.name == name).ok_or_else(|| UnknownSignal {
-            title: self.title.clone(),
+            title: self.title.as_str().into(),
             name: name.into(),
             suggestion: Suggestion::nearest(name, names()),
-            available: names().collect::<Vec<_>>().join(", "),
+            available: names().collect::<Vec<_>>().join(", ").into(),
         })
     }
 
