@@ -6,6 +6,7 @@
 pub mod cdr;
 mod container;
 mod convert;
+mod description;
 mod error;
 pub mod log;
 mod reader;
@@ -20,8 +21,9 @@ use crate::time::Nanos;
 
 pub use crate::node::Consumed;
 pub use convert::IMPORTED_SIGNAL;
+pub use description::{Description, NodeDescription};
 pub use error::RecordingError;
-pub use writer::{Description, NodeDescription, RecordingWriter, write};
+pub use writer::{RecordingWriter, write};
 
 /// The messages and the schedule of one run.
 #[derive(Debug, Clone, PartialEq)]

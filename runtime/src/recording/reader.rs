@@ -10,8 +10,9 @@ use serde::de::DeserializeOwned;
 
 use super::cdr::{CdrError, CdrReader};
 use super::container::{Cut, Raw, Walk, parse};
+use super::description::{DESCRIPTION, DescriptionFile, FORMAT};
 use super::error::RecordingError;
-use super::writer::{CONTENT, Content, DESCRIPTION, DURATION, DescriptionFile, END, FORMAT, NODE};
+use super::writer::{CONTENT, Content, DURATION, END, NODE};
 use super::{Consumed, InputRecord, MessageRecord, NodeTrack, Recording, StepRecord};
 use crate::time::Nanos;
 

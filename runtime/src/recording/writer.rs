@@ -7,23 +7,18 @@ use std::path::{Path, PathBuf};
 
 use mcap::records::MessageHeader;
 use mcap::{Attachment, WriteOptions};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use super::cdr::CdrWriter;
+use super::description::{DESCRIPTION, Description, DescriptionFile, FORMAT, NodeDescription};
 use super::error::RecordingError;
 use super::ros2msg::{self, Schema};
 use super::{
-    Clock, Consumed, Fault, Loss, MessageRecord, NodeTrack, Recording, RecordingSink, SinkError, StepRecord,
+    Consumed, Fault, Loss, MessageRecord, NodeTrack, Recording, RecordingSink, SinkError, StepRecord,
     StepView,
 };
-use crate::graph::{Graph, GraphSpec};
-use crate::node::Layout;
 use crate::time::Nanos;
 
-/// Name of the attachment that says what is in the file.
-pub(super) const DESCRIPTION: &str = "graph.json";
-/// Version of what this writer writes; a reader refuses larger ones.
-pub(super) const FORMAT: u32 = 1;
 /// Keys of a channel's metadata.
 pub(super) const NODE: &str = "parallax.node";
 pub(super) const CONTENT: &str = "parallax.content";
@@ -35,83 +30,6 @@ const LEAVES: &str = "parallax.leaves";
 /// A chunk is closed when it holds this much, or this span of time: what a killed recorder loses at most.
 const CHUNK_BYTES: u64 = 256 * 1024;
 const CHUNK_SPAN: u64 = 1_000_000_000;
-
-/// What is in a recording besides its messages and steps: the attachment `graph.json`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Description {
-    /// The graph that ran.
-    pub graph: GraphSpec,
-    /// The clock that it ran under.
-    pub clock: Clock,
-    /// The nodes whose messages and steps are recorded, in order.
-    pub nodes: Vec<NodeDescription>,
-}
-
-/// A node of a recording.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct NodeDescription {
-    /// Its name.
-    pub name: String,
-    /// Layout of its output messages.
-    pub layout: Layout,
-    /// The leaves of its initial message.
-    #[serde(with = "any_number")]
-    pub initial: Vec<f64>,
-    /// Whether it stands in for hardware.
-    pub stand_in: bool,
-}
-
-impl Description {
-    /// What a run of `graph` under `clock` records.
-    pub fn new(graph: &Graph, clock: Clock) -> Self {
-        let nodes = graph.nodes().iter().map(|node| NodeDescription {
-            name: node.name.clone(),
-            layout: node.kind.output().clone(),
-            initial: node.kind.initial_message().to_vec(),
-            stand_in: node.kind.is_stand_in(),
-        });
-        Self { graph: graph.spec().clone(), clock, nodes: nodes.collect() }
-    }
-}
-
-/// Numbers as JSON, which knows no NaN and no infinities: these become texts.
-mod any_number {
-    use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
-
-    #[derive(Serialize, Deserialize)]
-    #[serde(untagged)]
-    enum Number {
-        Finite(f64),
-        Other(String),
-    }
-
-    pub(super) fn serialize<S: Serializer>(values: &[f64], serializer: S) -> Result<S::Ok, S::Error> {
-        let number = |value: &f64| {
-            if value.is_finite() { Number::Finite(*value) } else { Number::Other(value.to_string()) }
-        };
-        serializer.collect_seq(values.iter().map(number))
-    }
-
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<f64>, D::Error> {
-        let number = |number| match number {
-            Number::Finite(value) => Ok(value),
-            Number::Other(text) => text.parse().map_err(D::Error::custom),
-        };
-        Vec::<Number>::deserialize(deserializer)?.into_iter().map(number).collect()
-    }
-}
-
-/// The attachment as it stands in the file.
-#[derive(Debug, Serialize, Deserialize)]
-pub(super) struct DescriptionFile {
-    pub(super) format: u32,
-    /// Versions of the programs that wrote the file.
-    pub(super) versions: BTreeMap<String, String>,
-    /// Time of the recording that the file's time 0 stands for: MCAP times cannot be negative.
-    pub(super) origin: Nanos,
-    #[serde(flatten)]
-    pub(super) description: Description,
-}
 
 /// Writes a recording, message by message and step by step.
 ///
