@@ -67,7 +67,7 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
     warnings.extend(crew.handshake(&settings, options.patience)?);
 
     let clock = WallClock::starting_in(LEAD);
-    if let Some(recorder) = &crew.recorder {
+    if let Some(recorder) = &mut crew.recorder {
         recorder.begin(describe_clock(clock, options.seed));
     }
     crew.workers.iter_mut().for_each(|worker| worker.order(&Order::Start { epoch: clock.epoch() }));

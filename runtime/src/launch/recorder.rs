@@ -1,5 +1,6 @@
 //! Takes the records of all nodes from shared memory and writes them to a file.
 
+use std::fs::OpenOptions;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::JoinHandle;
@@ -32,14 +33,18 @@ pub(super) type Lost = Vec<(String, u64)>;
 pub(super) struct Recorder {
     orders: Sender<Order>,
     thread: Option<JoinHandle<Result<Lost, RunError>>>,
+    /// The file, while it is empty because no run has begun.
+    empty: Option<PathBuf>,
 }
 
 impl Recorder {
     /// Starts the recorder; it listens to all nodes when this returns.
     pub(super) fn start(graph: &Graph, space: &Space, path: &Path) -> Result<Self, RunError> {
-        // Found out now, and not when the run is over.
+        // Found out now, and not when the run is over. An older recording stays until the new one begins.
+        let existed = path.exists();
         let create = |source| RecordingError::Io { path: path.into(), what: "create the file", source };
-        drop(std::fs::File::create(path).map_err(create)?);
+        drop(OpenOptions::new().write(true).create(true).truncate(false).open(path).map_err(create)?);
+        let empty = (!existed).then(|| path.to_path_buf());
         let (orders, inbox) = channel();
         let (ready, opened) = channel();
         let (graph, path, run) = (graph.clone(), path.to_path_buf(), space.path().to_path_buf());
@@ -58,14 +63,15 @@ impl Recorder {
         let thread =
             std::thread::Builder::new().name("recorder".into()).spawn(body).map_err(RunError::Thread)?;
         match opened.recv() {
-            Ok(None) => Ok(Self { orders, thread: Some(thread) }),
+            Ok(None) => Ok(Self { orders, thread: Some(thread), empty }),
             Ok(Some(error)) => Err(error),
             Err(_) => Err(RunError::Recorder),
         }
     }
 
     /// The run's clock is known: writing can begin.
-    pub(super) fn begin(&self, clock: Clock) {
+    pub(super) fn begin(&mut self, clock: Clock) {
+        self.empty = None;
         self.tell(Order::Start(clock));
     }
 
@@ -99,6 +105,10 @@ impl Drop for Recorder {
         if let Some(thread) = self.thread.take() {
             self.tell(Order::Finish(0));
             let _ = thread.join();
+        }
+        if let Some(path) = self.empty.take() {
+            // A file that cannot be removed is empty, and the reader says so.
+            let _ = std::fs::remove_file(path);
         }
     }
 }

@@ -108,11 +108,16 @@ fn a_node_that_hangs_is_ended() {
 fn a_node_that_cannot_be_built_is_named() {
     let mut graph = graph();
     graph.nodes.push(NodeSpec::new("eye", "unbuildable", 10.0));
-    for mode in [Mode::Processes, Mode::Threads] {
-        let error = run(&graph, &registry(), RunOptions { mode, ..RunOptions::default() }).unwrap_err();
+    let folder = tempfile::tempdir().unwrap();
+    let (new, old) = (folder.path().join("new.mcap"), folder.path().join("old.mcap"));
+    std::fs::write(&old, "an older recording").unwrap();
+    for (mode, path) in [(Mode::Processes, &new), (Mode::Threads, &old)] {
+        let error = run(&graph, &registry(), RunOptions { mode, ..options(0.1, path) }).unwrap_err();
         assert!(matches!(&error, RunError::Start { node, .. } if node == "eye"), "{error}");
         assert!(error.to_string().contains("not plugged in"), "{error}");
     }
+    assert!(!new.exists(), "a run that was not made leaves no empty recording");
+    assert_eq!(std::fs::read_to_string(&old).unwrap(), "an older recording");
 }
 
 fn a_recording_that_cannot_be_written_is_refused() {
