@@ -29,13 +29,17 @@ pub(super) fn how_far(pen: &mut Pen, how_far: &HowFar, corner: (f64, f64), width
     let floor = if usable(how_far.noise_floor) { how_far.noise_floor } else { least };
     let (left, right) = (corner.0 + 82.0, corner.0 + width - 52.0);
     // One empty decade around equal numbers, so that a bar always has a scale.
-    let (low, high) = if known.is_empty() { (0.1, 10.0) } else { (least / 1.25, (most * 1.1).max(least * 3.0)) };
-    let x = |value: f64| left + (right - left) * ((value.ln() - low.ln()) / (high.ln() - low.ln())).clamp(0.0, 1.0);
+    let (low, high) =
+        if known.is_empty() { (0.1, 10.0) } else { (least / 1.25, (most * 1.1).max(least * 3.0)) };
+    let x = |value: f64| {
+        left + (right - left) * ((value.ln() - low.ln()) / (high.ln() - low.ln())).clamp(0.0, 1.0)
+    };
     let bottom = corner.1 + 5.0 * ROW;
     for tick in decades(low, high, right - left) {
         pen.line("grid", (x(tick), corner.1), (x(tick), bottom));
         let power = high / low >= 3e4;
-        let label = if power { format::power_of_ten(format::exponent(tick)) } else { format::number(tick, 2) };
+        let label =
+            if power { format::power_of_ten(format::exponent(tick)) } else { format::number(tick, 2) };
         let label = draw::typeset(&label);
         pen.text("tick", (x(tick), bottom + 14.0), Anchor::Middle, &label);
     }

@@ -20,7 +20,9 @@ pub(super) const STYLE: &str = include_str!("plot.css");
 
 /// The style with the colours of paper written out, for an SVG that stands alone: not every viewer knows variables.
 pub(super) fn style_on_paper() -> String {
-    COLOURS.iter().fold(STYLE.to_owned(), |style, (name, light, _)| style.replace(&format!("var(--{name})"), light))
+    COLOURS
+        .iter()
+        .fold(STYLE.to_owned(), |style, (name, light, _)| style.replace(&format!("var(--{name})"), light))
 }
 
 /// Text as it may stand in HTML and XML, in quotes too. Characters that XML cannot hold become U+FFFD.

@@ -150,7 +150,8 @@ pub(super) fn interval(interval: &Interval) -> (String, Option<String>) {
     }
     let width = (high - low) * 100.0;
     if !width.is_finite() || [value, low, high].iter().any(|x| x.abs() >= 100.0) {
-        let ends = (low.is_finite() && high.is_finite()).then(|| format!("{} to {}", share(low), share(high)));
+        let ends =
+            (low.is_finite() && high.is_finite()).then(|| format!("{} to {}", share(low), share(high)));
         return (share(value), ends);
     }
     let decimals = if width > 0.0 { (-exponent(width / 2.0)).clamp(0, 4) } else { 1 };

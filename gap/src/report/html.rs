@@ -88,10 +88,9 @@ fn verdict(report: &Report, answers: &[Answer<'_>]) -> String {
     let detected = if gap.detected { "Detected" } else { "None" };
     let p = format!("{} by chance", set(&format::p_value(gap.p_value)));
     let cause = match answers.first() {
-        Some(answer) => (
-            answer_html(answer),
-            format!("{} probable", set(&format::probability(answer.probability))),
-        ),
+        Some(answer) => {
+            (answer_html(answer), format!("{} probable", set(&format::probability(answer.probability))))
+        }
         None => (format::UNKNOWN.to_owned(), "no answer was tried".to_owned()),
     };
     let (closed, ends) = format::interval(&report.how_far.closed_by_effect);
@@ -125,13 +124,15 @@ fn overlays_section(report: &Report, overlays: &[Overlay]) -> String {
          earlier samples only. Before: the nominal system with its parameters refitted. Residual: predicted minus \
          measured."
     );
-    let figures: String = readings.iter().map(|readings| figure(readings, report.how_far.horizon_s)).collect();
+    let figures: String =
+        readings.iter().map(|readings| figure(readings, report.how_far.horizon_s)).collect();
     section("Measured and predicted", &note, &figures)
 }
 
 fn figure(readings: &Readings<'_>, horizon: f64) -> String {
     let mut caption = format!("<b>{}</b>", escape(readings.output));
-    let in_units = |error: Option<f64>| set(&error.map_or(format::UNKNOWN.to_owned(), |e| format::number(e, 3)));
+    let in_units =
+        |error: Option<f64>| set(&error.map_or(format::UNKNOWN.to_owned(), |e| format::number(e, 3)));
     let unit = if readings.noise.is_some() { String::from("noise units") } else { readings.unit.to_owned() };
     let unit = escape(&unit);
     if readings.after.is_empty() {
@@ -189,10 +190,8 @@ fn which(answers: &[Answer<'_>]) -> String {
     let mut content = format!("<ol class=\"answers\">\n{rows}</ol>\n");
     if shown < answers.len() {
         let names: Vec<String> = answers[shown..].iter().map(|answer| escape(&answer.name())).collect();
-        content.push_str(&format!(
-            "<p class=\"note\">Also tried, less probable: {}.</p>\n",
-            names.join(", ")
-        ));
+        content
+            .push_str(&format!("<p class=\"note\">Also tried, less probable: {}.</p>\n", names.join(", ")));
     }
     section("Which cause", "Probabilities of classes that this data can tell apart.", &content)
 }
@@ -215,7 +214,8 @@ fn where_(report: &Report) -> String {
             set(&format::share(place.share)),
         )
     };
-    let mut content = format!("<ol class=\"answers\">\n{}</ol>\n", places.iter().take(ROWS).map(row).collect::<String>());
+    let mut content =
+        format!("<ol class=\"answers\">\n{}</ol>\n", places.iter().take(ROWS).map(row).collect::<String>());
     if places.len() > ROWS {
         let rest: Vec<String> = places[ROWS..].iter().map(|place| escape(&place.place)).collect();
         content.push_str(&format!("<p class=\"note\">Also considered: {}.</p>\n", rest.join(", ")));
@@ -276,7 +276,11 @@ fn calibration(report: &Report) -> String {
         let change = (row.value - row.nominal) / row.nominal;
         let moved = (row.value - row.nominal) / row.std;
         let percent = if change.is_finite() { set(&signed(&format::share(change))) } else { "–".into() };
-        let moved = if moved.is_finite() { format!("{} σ", signed(&format::number(moved, 2))) } else { "–".into() };
+        let moved = if moved.is_finite() {
+            format!("{} σ", signed(&format::number(moved, 2)))
+        } else {
+            "–".into()
+        };
         let (class, mark) = if row.significant { (" class=\"moved\"", "● moved") } else { ("", "") };
         format!(
             "<tr{class}><th scope=\"row\">{}</th><td>{}</td><td>{}</td><td class=\"unit\">{}</td><td>{percent}</td>\
@@ -300,7 +304,11 @@ fn calibration(report: &Report) -> String {
 }
 
 fn signed(number: &str) -> String {
-    if number.starts_with(['-', '–']) || number.starts_with("0 ") { number.to_owned() } else { format!("+{number}") }
+    if number.starts_with(['-', '–']) || number.starts_with("0 ") {
+        number.to_owned()
+    } else {
+        format!("+{number}")
+    }
 }
 
 fn unexplained(report: &Report) -> String {

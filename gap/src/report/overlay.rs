@@ -122,7 +122,15 @@ pub(super) fn column(
     let unit = if readings.noise.is_some() { "noise units" } else { readings.unit };
     strip.scale(pen, &residuals, &format!("residual{}", dimension(&residuals, unit)));
     strip.open(pen);
-    strip.curve(pen, if single { "after" } else { "before" }, &residuals, readings, pieces, &stretches, &before);
+    strip.curve(
+        pen,
+        if single { "after" } else { "before" },
+        &residuals,
+        readings,
+        pieces,
+        &stretches,
+        &before,
+    );
     strip.curve(pen, "after", &residuals, readings, pieces, &stretches, &after);
     pen.raw("</svg>");
 
@@ -151,7 +159,8 @@ fn dimension(scale: &Scale, unit: &str) -> String {
 }
 
 fn bounds(values: &[f64], pieces: &[Range<usize>]) -> Option<(f64, f64)> {
-    let finite = pieces.iter().flat_map(|piece| values.get(piece.clone()).unwrap_or(&[])).filter(|v| v.is_finite());
+    let finite =
+        pieces.iter().flat_map(|piece| values.get(piece.clone()).unwrap_or(&[])).filter(|v| v.is_finite());
     finite.fold(None, |bounds, &v| match bounds {
         None => Some((v, v)),
         Some((low, high)) => Some((f64::min(low, v), f64::max(high, v))),
@@ -188,13 +197,7 @@ fn value_scale(readings: &Readings<'_>, pieces: &[Range<usize>], height: f64) ->
 }
 
 /// Symmetric about zero, wide enough for all but the rarest residuals and for the band of the noise.
-fn residual_scale(
-    units: bool,
-    before: &[f64],
-    after: &[f64],
-    pieces: &[Range<usize>],
-    height: f64,
-) -> Scale {
+fn residual_scale(units: bool, before: &[f64], after: &[f64], pieces: &[Range<usize>], height: f64) -> Scale {
     let mut sizes: Vec<f64> = pieces
         .iter()
         .flat_map(|piece| [before, after].into_iter().flat_map(|r| r.get(piece.clone()).unwrap_or(&[])))
@@ -263,7 +266,8 @@ impl Panel {
     ) {
         let mut runs = Vec::new();
         for piece in pieces {
-            let Some(stretch) = stretches.iter().find(|stretch| stretch.samples.contains(&piece.start)) else {
+            let Some(stretch) = stretches.iter().find(|stretch| stretch.samples.contains(&piece.start))
+            else {
                 continue;
             };
             let points = piece.clone().filter_map(|i| Some((readings.stamp[i], *series.get(i)?)));

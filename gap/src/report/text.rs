@@ -78,7 +78,8 @@ fn which(lines: &mut Lines, report: &Report) {
         let name = answer.name();
         let parameters = answer.parameters();
         let comma = if parameters.is_empty() { "" } else { ": " };
-        let text = format!("{:>7}  {name}{comma}{}", format::probability(answer.probability), parameters.join(", "));
+        let text =
+            format!("{:>7}  {name}{comma}{}", format::probability(answer.probability), parameters.join(", "));
         lines.put(label, 9, &text);
         if i == 0 && !answer.alike.is_empty() {
             lines.put("", 9, &format!("{:9}alike in this data: {}", "", answer.alike.join(", ")));
@@ -97,11 +98,10 @@ fn how_far(lines: &mut Lines, report: &Report) {
         (value, Some(ends)) => format!("{value} ({ends})"),
         (value, None) => value,
     };
-    let text = format!(
-        "  closed {} in all, {} by the effect",
-        closed(&how_far.closed_total),
-        closed(&how_far.closed_by_effect)
-    );
+    let mut text = format!("  closed {} in all", closed(&how_far.closed_total));
+    if how_far.closed_by_effect.value.is_finite() {
+        text.push_str(&format!(", {} by the effect", closed(&how_far.closed_by_effect)));
+    }
     lines.put("", 2, &text);
 }
 
@@ -119,7 +119,11 @@ fn calibration(lines: &mut Lines, report: &Report) {
             format::unit(&row.unit),
             if row.significant { "  moved" } else { "" }
         );
-        lines.0.push(format!("{:INDENT$}{}", if i == 0 { "calibration" } else { "" }, format::clip(&text, 85)));
+        lines.0.push(format!(
+            "{:INDENT$}{}",
+            if i == 0 { "calibration" } else { "" },
+            format::clip(&text, 85)
+        ));
     }
     if rows.len() > 6 {
         lines.put("", 0, &format!("and {} more in the report", rows.len() - 6));

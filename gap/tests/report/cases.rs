@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 
 use parallax_gap::report::{
-    Absorbed, Calibration, Confusable, FittedEffect, Gap, HowFar, Interval, NotTestable, Overlay, Report, Unexplained,
-    Value, Where, Which,
+    Absorbed, Calibration, Confusable, FittedEffect, Gap, HowFar, Interval, NotTestable, Overlay, Report,
+    Unexplained, Value, Where, Which,
 };
 
 /// An effect with parameters as (name, value, std, unit).
-pub fn effect(name: &str, place: &str, parameters: &[(&str, f64, f64, &str)]) -> FittedEffect {
+pub(crate) fn effect(name: &str, place: &str, parameters: &[(&str, f64, f64, &str)]) -> FittedEffect {
     let parameters: BTreeMap<String, Value> = parameters
         .iter()
         .map(|&(name, value, std, unit)| (name.to_owned(), Value { value, std, unit: unit.to_owned() }))
@@ -31,13 +31,14 @@ fn calibration(name: &str, nominal: f64, value: f64, std: f64, unit: &str) -> Ca
 }
 
 /// A servo whose commands arrive late.
-pub fn one_effect() -> Report {
+pub(crate) fn one_effect() -> Report {
     let delay = effect("delay", "input:goal", &[("delay", 0.0412, 0.0011, "s")]);
     let friction = [("backward", -0.061, 0.02, "N m"), ("forward", 0.084, 0.019, "N m")];
     Report {
-        summary: "Commands reach the joint 41 ms late (delay@input:goal); this closes 99.6 % of the gap that \
+        summary:
+            "Commands reach the joint 41 ms late (delay@input:goal); this closes 99.6 % of the gap that \
                   calibration leaves."
-            .to_owned(),
+                .to_owned(),
         system: "servo arm".to_owned(),
         recordings: vec!["chirp on goal, 20 s".to_owned(), "steps, 12 s".to_owned()],
         gap: Gap { detected: true, p_value: 1e-12, score: 6.3 },
@@ -53,7 +54,11 @@ pub fn one_effect() -> Report {
         ],
         which: vec![
             which(delay, &["delay@input:goal", "lag@input:goal"], 0.97),
-            which(effect("asymmetric_friction", "joint:shaft", &friction), &["asymmetric_friction@joint:shaft"], 0.011),
+            which(
+                effect("asymmetric_friction", "joint:shaft", &friction),
+                &["asymmetric_friction@joint:shaft"],
+                0.011,
+            ),
             Which {
                 effects: vec![
                     effect("coulomb", "joint:shaft", &[("force", 0.07, 0.02, "N m")]),
@@ -63,7 +68,11 @@ pub fn one_effect() -> Report {
                 probability: 0.006,
             },
             Which { effects: vec![], class: vec!["no gap".to_owned()], probability: 1e-9 },
-            which(effect("bias", "output:angle", &[("bias", 0.002, 0.004, "rad")]), &["bias@output:angle"], 1e-11),
+            which(
+                effect("bias", "output:angle", &[("bias", 0.002, 0.004, "rad")]),
+                &["bias@output:angle"],
+                1e-11,
+            ),
         ],
         unexplained: Unexplained { probability: 0.01, share: 0.02 },
         absorbed: vec![Absorbed { effect: "viscous@joint:shaft".to_owned(), by: "b".to_owned() }],
@@ -90,9 +99,10 @@ pub fn one_effect() -> Report {
 }
 
 /// Everything as the system says.
-pub fn no_gap() -> Report {
+pub(crate) fn no_gap() -> Report {
     let mut report = one_effect();
-    report.summary = "No gap: after calibration the system predicts these recordings down to the noise.".to_owned();
+    report.summary =
+        "No gap: after calibration the system predicts these recordings down to the noise.".to_owned();
     report.gap = Gap { detected: false, p_value: 0.43, score: 1.02 };
     report.which.retain(|which| which.effects.is_empty());
     report.which[0].probability = 0.96;
@@ -114,7 +124,7 @@ pub fn no_gap() -> Report {
 }
 
 /// A cause that no named effect fits.
-pub fn none_of_these() -> Report {
+pub(crate) fn none_of_these() -> Report {
     let mut report = one_effect();
     report.summary = "There is a gap at joint:shaft, and none of the named effects is its cause.".to_owned();
     report.which[0].probability = 0.08;
@@ -125,7 +135,7 @@ pub fn none_of_these() -> Report {
 }
 
 /// Nothing in any list.
-pub fn empty() -> Report {
+pub(crate) fn empty() -> Report {
     Report {
         summary: String::new(),
         recordings: vec![],
@@ -141,7 +151,7 @@ pub fn empty() -> Report {
 }
 
 /// Numbers at the ends of the range, and none at all.
-pub fn extreme() -> Report {
+pub(crate) fn extreme() -> Report {
     let mut report = one_effect();
     report.gap = Gap { detected: true, p_value: 0.0, score: 1e300 };
     report.how_far = HowFar {
@@ -156,15 +166,17 @@ pub fn extreme() -> Report {
     };
     report.calibration.push(calibration("k", 0.0, 1.234e19, 3e17, "N/m"));
     report.calibration.push(calibration("c", f64::NAN, f64::INFINITY, f64::NAN, ""));
-    report.which[0].effects[0] = effect("delay", "input:goal", &[("delay", 1e308, f64::MAX, "s"), ("x", -1e-300, 0.0, "")]);
+    report.which[0].effects[0] =
+        effect("delay", "input:goal", &[("delay", 1e308, f64::MAX, "s"), ("x", -1e-300, 0.0, "")]);
     report.which[1].probability = f64::NAN;
     report.unexplained = Unexplained { probability: f64::NAN, share: f64::NEG_INFINITY };
     report
 }
 
 /// A position in four held-out blocks of three seconds; the prediction before lags behind.
-pub fn overlay() -> Overlay {
-    let mut overlay = Overlay { output: "angle".to_owned(), unit: "rad".to_owned(), noise: 0.004, ..Overlay::default() };
+pub(crate) fn overlay() -> Overlay {
+    let mut overlay =
+        Overlay { output: "angle".to_owned(), unit: "rad".to_owned(), noise: 0.004, ..Overlay::default() };
     // A fixed sequence is noise enough for a picture.
     let mut state = 12_345_u32;
     let mut noise = || {
@@ -192,9 +204,10 @@ pub fn overlay() -> Overlay {
 }
 
 /// Series with everything wrong that series can have.
-pub fn broken_overlay() -> Overlay {
+pub(crate) fn broken_overlay() -> Overlay {
     let overlay = overlay();
-    let mut broken = Overlay { output: "<b>\"speed\" & 'x'\u{1}".to_owned(), unit: "<m/s>".to_owned(), ..overlay };
+    let mut broken =
+        Overlay { output: "<b>\"speed\" & 'x'\u{1}".to_owned(), unit: "<m/s>".to_owned(), ..overlay };
     broken.measured[10..40].fill(f64::NAN);
     broken.measured[600] = 1e300;
     broken.before[100..200].fill(f64::INFINITY);

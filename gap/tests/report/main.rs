@@ -95,7 +95,9 @@ fn the_page_names_everything_that_the_report_names() {
     for name in names {
         assert!(shown.contains(&name), "the page does not name {name}");
     }
-    for number in ["0.0412 ± 0.0011 s", "97 %", "99.6 %", "99.2 to 99.8 %", "p = 10⁻¹²", "0.334 ± 0.004", "+3.5 σ"] {
+    for number in
+        ["0.0412 ± 0.0011 s", "97 %", "99.6 %", "99.2 to 99.8 %", "p = 10⁻¹²", "0.334 ± 0.004", "+3.5 σ"]
+    {
         assert!(shown.contains(number), "the page does not give {number}");
     }
 }
@@ -138,7 +140,11 @@ fn the_leading_answer_leads() {
     assert_eq!(lead(&cases::one_effect()).as_deref(), Some("delay"));
     assert_eq!(lead(&cases::no_gap()).as_deref(), Some("no gap"));
     assert_eq!(lead(&cases::none_of_these()).as_deref(), Some("none of these"));
-    assert_eq!(lead(&cases::extreme()).as_deref(), Some("delay"), "an unknown probability is no reason to lead");
+    assert_eq!(
+        lead(&cases::extreme()).as_deref(),
+        Some("delay"),
+        "an unknown probability is no reason to lead"
+    );
 }
 
 #[test]
@@ -188,17 +194,19 @@ fn the_figure_stands_alone() {
     assert_eq!(root.attribute("viewBox"), Some("0 0 1000 520"));
     assert!(!svg.contains("var("), "not every viewer knows CSS variables");
     let shown = all_text(&document);
-    for text in ["Commands reach the joint 41 ms late", "delay@input:goal", "97 %", "none of these", "angle (rad)"] {
+    for text in
+        ["Commands reach the joint 41 ms late", "delay@input:goal", "97 %", "none of these", "angle (rad)"]
+    {
         assert!(shown.contains(text), "the figure does not show {text}");
     }
 }
 
 #[test]
 fn the_short_answer() {
-    insta::assert_snapshot!(text::summary(&cases::one_effect()));
-    insta::assert_snapshot!(text::summary(&cases::no_gap()));
-    insta::assert_snapshot!(text::summary(&cases::none_of_these()));
-    insta::assert_snapshot!(text::summary(&cases::extreme()));
+    insta::assert_snapshot!("one_effect", text::summary(&cases::one_effect()));
+    insta::assert_snapshot!("no_gap", text::summary(&cases::no_gap()));
+    insta::assert_snapshot!("none_of_these", text::summary(&cases::none_of_these()));
+    insta::assert_snapshot!("extreme", text::summary(&cases::extreme()));
 }
 
 #[test]
