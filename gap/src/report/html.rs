@@ -69,7 +69,7 @@ fn section(title: &str, note: &str, content: &str) -> String {
 
 /// `delay` in bold, its place beside it.
 fn effect_html(name: &str, place: &str) -> String {
-    format!("<b>{}</b><span class=\"place\">@{}</span>", escape(name), escape(place))
+    format!("<b>{}</b><wbr/><span class=\"place\">@{}</span>", escape(name), escape(place))
 }
 
 fn answer_html(answer: &Answer<'_>) -> String {
@@ -93,6 +93,7 @@ fn verdict(report: &Report, answers: &[Answer<'_>]) -> String {
         }
         None => (format::UNKNOWN.to_owned(), "no answer was tried".to_owned()),
     };
+    let long = if report.summary.chars().count() > 130 { " class=\"long\"" } else { "" };
     let (closed, ends) = format::interval(&report.how_far.closed_by_effect);
     let ends = match ends {
         Some(ends) => format!("95 % interval {}", set(&ends)),
@@ -100,7 +101,7 @@ fn verdict(report: &Report, answers: &[Answer<'_>]) -> String {
         None => "of what calibration leaves".to_owned(),
     };
     format!(
-        "<header>\n<p class=\"kicker\">Parallax diagnosis of <b>{}</b></p>\n<h1>{}</h1>\n<dl class=\"verdict\">\n{}{}{}{}\
+        "<header>\n<p class=\"kicker\">Parallax diagnosis of <b>{}</b></p>\n<h1{long}>{}</h1>\n<dl class=\"verdict\">\n{}{}{}{}\
          </dl>\n</header>\n",
         escape(&report.system),
         escape(&report.summary).replace(" %", "\u{a0}%"),

@@ -11,7 +11,7 @@ for (const svg of document.querySelectorAll("svg.wide")) {
       cursor.setAttribute("x1", at);
       cursor.setAttribute("x2", at);
       cursor.style.visibility = "visible";
-      const known = (name, value, r) => (value === "–" ? "" : `, ${name} ${value} (${r})`);
+      const known = (name, value, r) => (value === "–" ? "" : `, ${name} ${value} (residual ${r})`);
       readout.textContent = `${time} s: measured ${measured}${known("before", before, r1)}${known("with the effect", after, r2)}`;
     });
     probe.addEventListener("pointerleave", () => {

@@ -29,11 +29,11 @@ pub fn figure(report: &Report, overlays: &[Overlay]) -> String {
     pen.rect("paper", (0.0, 0.0), (WIDTH, HEIGHT));
     let mut y = 34.0;
     // Narrow enough for the widest of the usual fonts.
-    let lines = format::wrap(&report.summary, 88);
-    for (i, line) in lines.iter().take(3).enumerate() {
-        let more = if i == 2 && lines.len() > 3 { " …" } else { "" };
+    let lines = format::wrap(&report.summary, 102);
+    for (i, line) in lines.iter().take(4).enumerate() {
+        let more = if i == 3 && lines.len() > 4 { " …" } else { "" };
         pen.text("title", (24.0, y), Anchor::Start, &format!("{line}{more}"));
-        y += 22.0;
+        y += 21.0;
     }
     pen.text("soft", (24.0, y), Anchor::Start, &format::clip(&source(report), 130));
     let top = y + 40.0;
@@ -61,8 +61,8 @@ pub fn figure(report: &Report, overlays: &[Overlay]) -> String {
         }
         None => pen.text("soft", (24.0, top), Anchor::Start, "No held-out readings were kept."),
     }
-    draw_answers(&mut pen, &answers(report), top);
     let corner = (RIGHT, HEIGHT - bars::HOW_FAR_HEIGHT - 16.0);
+    draw_answers(&mut pen, &answers(report), top, corner.1 - 34.0);
     let horizon = format::number(report.how_far.horizon_s, 3);
     let head = format!("How far, {horizon} s ahead on held-out time");
     pen.text("head", (RIGHT, corner.1 - 12.0), Anchor::Start, &head);
@@ -78,24 +78,51 @@ fn source(report: &Report) -> String {
     }
 }
 
-fn draw_answers(pen: &mut Pen, answers: &[Answer<'_>], top: f64) {
+/// Draws the answers from `top` on, as many as end above `bottom`; the first with its parameters, and with what it
+/// cannot be told apart from.
+fn draw_answers(pen: &mut Pen, answers: &[Answer<'_>], top: f64, bottom: f64) {
     pen.text("head", (RIGHT, top), Anchor::Start, "Which cause");
     let (left, right) = (RIGHT, WIDTH - 24.0);
-    let mut y = top + 24.0;
-    for (i, answer) in answers.iter().take(5).enumerate() {
-        let name = format::clip(&answer.name(), 40);
-        pen.text(if i == 0 { "strong" } else { "plain" }, (left, y), Anchor::Start, &name);
+    let mut y = top + 23.0;
+    for (i, answer) in answers.iter().enumerate() {
+        if i > 0 && y + 11.0 > bottom {
+            break;
+        }
+        let (weight, columns, class) =
+            if i == 0 { ("strong", 30, "bar-after") } else { ("plain", 36, "bar-plain") };
+        pen.text(weight, (left, y), Anchor::Start, &format::clip(&answer.name(), columns));
         let probability = draw::typeset(&format::probability(answer.probability));
         pen.text("strong", (right, y), Anchor::End, &probability);
         pen.rect("bar-track", (left, y + 5.0), (right - left, 6.0));
         let part = if answer.probability.is_finite() { answer.probability.clamp(0.0, 1.0) } else { 0.0 };
-        let class = if i == 0 { "bar-after" } else { "bar-plain" };
         pen.rect(class, (left, y + 5.0), ((right - left) * part, 6.0));
-        y += 30.0;
-        if i == 0 && !answer.effects.is_empty() {
-            let parameters = format::clip(&answer.parameters().join(", "), 52);
-            pen.text("small", (left, y - 5.0), Anchor::Start, &draw::typeset(&parameters));
-            y += 14.0;
+        y += 29.0;
+        if i == 0 {
+            let mut notes = packed(&answer.parameters(), 46);
+            notes.truncate(2);
+            if !answer.alike.is_empty() {
+                notes.push(format!("or {}: alike in this data", answer.alike.join(", ")));
+            }
+            for note in &notes {
+                pen.text("small", (left, y - 4.0), Anchor::Start, &format::clip(note, 46));
+                y += 15.0;
+            }
+            y += if notes.is_empty() { 0.0 } else { 3.0 };
         }
     }
+}
+
+/// Parameters one after another, each whole on its line.
+fn packed(parameters: &[String], columns: usize) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for parameter in parameters {
+        match lines.last_mut() {
+            Some(line) if line.chars().count() + parameter.chars().count() + 2 <= columns => {
+                line.push_str(", ");
+                line.push_str(parameter);
+            }
+            _ => lines.push(parameter.clone()),
+        }
+    }
+    lines.iter().map(|line| draw::typeset(line)).collect()
 }
