@@ -44,7 +44,7 @@ pub fn p_value(nuisance: &Nuisance, groups: &[DMatrix<f64>], seed: u64) -> f64 {
     // Beyond what was simulated the tail is that of independent tests, as many as match the simulated 1 % point.
     let at = NULLS / 100;
     let effective = 0.01 / nulls[at].exp();
-    (effective.max(1.0) * observed.exp()).min(20.0 / NULLS as f64)
+    (effective.max(1.0) * observed.exp()).clamp(f64::MIN_POSITIVE, 20.0 / NULLS as f64)
 }
 
 /// Natural logarithm of P(χ²_k > x).

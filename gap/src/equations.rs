@@ -240,7 +240,8 @@ fn changes<const N: usize>(simulator: &EquationsSimulator<'_>, extra: &[Dual<N>]
         let state = smooth.get_or_insert(value);
         // After the last command the smoothed one keeps settling; five time constants are enough.
         let until = held.times.get(k + 1).copied().unwrap_or(time + 5.0 * tau.value + simulator.step);
-        let pieces = ((until - time) / simulator.step).ceil().max(1.0);
+        // The mean of a smoothed command stands for it over a piece, so pieces are shorter than steps.
+        let pieces = (2.0 * (until - time) / simulator.step - 1e-6).ceil().max(1.0);
         let dt = (until - time) / pieces;
         for piece in 0..pieces as usize {
             let (mean, end) = lag_step(tau, *state, value, Dual::from_value(dt));

@@ -40,6 +40,39 @@ impl Held {
     }
 }
 
+impl Held {
+    /// The command averaged over intervals of `grid` seconds, if it changes faster than that.
+    ///
+    /// What a plant does over an interval depends on the command's mean there, to second order in the interval.
+    #[must_use]
+    pub fn averaged(&self, grid: f64) -> Held {
+        let period = crate::statistics::median(&mut self.times.windows(2).map(|w| w[1] - w[0]).collect::<Vec<_>>());
+        let (Some(first), Some(last)) = (self.times.first(), self.times.last()) else { return self.clone() };
+        if period <= 0.0 || period > 0.67 * grid {
+            return self.clone();
+        }
+        // Whole numbers of samples per interval keep even sampling even.
+        let grid = period * (grid / period).round();
+        let mut out = Held::default();
+        let mut at = 0;
+        for k in 0..((last - first) / grid).floor() as usize {
+            let (from, to) = (first + k as f64 * grid, first + (k + 1) as f64 * grid);
+            let (mut sum, mut now) = (0.0, from);
+            while now < to {
+                while at + 1 < self.times.len() && self.times[at + 1] <= now {
+                    at += 1;
+                }
+                let until = self.times.get(at + 1).map_or(to, |next| next.min(to));
+                sum += self.values[at] * (until - now);
+                now = until;
+            }
+            out.times.push(from);
+            out.values.push(sum / grid);
+        }
+        out
+    }
+}
+
 impl Experiment {
     /// Stamps of the first and the last reading (s).
     #[must_use]

@@ -16,8 +16,8 @@ const TEMPERATURE: f64 = 2.0;
 const PRIOR_NO_GAP: f64 = 0.3;
 const PRIOR_UNKNOWN: f64 = 0.1;
 
-/// Difference of −2 log evidence that says nothing about which of two effects it is.
-const EQUAL: f64 = 2.0;
+/// Difference of −2 log evidence up to which the simpler of two effects with one signature is named.
+const EQUAL: f64 = 10.0;
 
 /// Difference of −2 log evidence from which two effects of like signature are told apart all the same.
 const DECISIVE: f64 = 20.0;
@@ -67,7 +67,6 @@ impl Posterior {
 pub fn weigh(setup: &Setup, null: &Fit, nuisance: &Nuisance, mut fits: Vec<Fit>) -> Posterior {
     let judge = Judge::new(null, &fits);
     fits.sort_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
-    lead_with_the_simplest(&mut fits, &judge);
     let each = (1.0 - PRIOR_NO_GAP - PRIOR_UNKNOWN) / fits.len().max(1) as f64;
     let log_null = PRIOR_NO_GAP.ln();
     let logs: Vec<f64> =
@@ -103,27 +102,30 @@ pub fn weigh(setup: &Setup, null: &Fit, nuisance: &Nuisance, mut fits: Vec<Fit>)
     let share = |f: &Fit| ((gap - f.shooting_error) / (gap - floor).max(1e-9)).clamp(0.0, 1.0);
     let mut taken = vec![false; fits.len()];
     let mut answers = Vec::new();
-    for leader in 0..fits.len() {
-        if taken[leader] {
+    for first in 0..fits.len() {
+        if taken[first] {
             continue;
         }
-        let mut answer =
-            Answer { fit: fits[leader].clone(), class: Vec::new(), members: Vec::new(), probability: 0.0 };
-        for k in leader..fits.len() {
-            let near = judge.cost(&fits[k]) - judge.cost(&fits[leader]) < DECISIVE;
-            let alike = k == leader || (near && signature::cosine(&signatures[leader], &signatures[k]) > SAME);
-            if taken[k] || !alike {
-                continue;
-            }
+        let mut class: Vec<usize> = (first..fits.len())
+            .filter(|&k| {
+                let near = judge.cost(&fits[k]) - judge.cost(&fits[first]) < DECISIVE;
+                !taken[k] && (k == first || (near && signature::cosine(&signatures[first], &signatures[k]) > SAME))
+            })
+            .collect();
+        for &k in &class {
             taken[k] = true;
-            let p = probability(logs[k]);
-            answer.probability += p;
-            answer.class.push(fits[k].hypothesis.label());
-            if let Some(at) = fits[k].hypothesis.effects.first() {
-                answer.members.push((at.clone(), p, share(&fits[k])));
-            }
         }
-        answers.push(answer);
+        lead_with_the_simplest(&mut class, &fits, &judge);
+        let members = class.iter().filter_map(|&k| {
+            let at = fits[k].hypothesis.effects.first()?;
+            Some((at.clone(), probability(logs[k]), share(&fits[k])))
+        });
+        answers.push(Answer {
+            fit: fits[class[0]].clone(),
+            class: class.iter().map(|&k| fits[k].hypothesis.label()).collect(),
+            members: members.collect(),
+            probability: class.iter().map(|&k| probability(logs[k])).sum(),
+        });
     }
     answers.sort_by(|a, b| b.probability.total_cmp(&a.probability));
     Posterior {
@@ -160,13 +162,14 @@ impl Judge {
     }
 }
 
-/// Among the fits that the evidence does not tell apart from the best, the one with the fewest parameters leads; of
-/// equals the first in the library's order, which puts commands before readings.
-fn lead_with_the_simplest(fits: &mut [Fit], judge: &Judge) {
-    let Some(best) = fits.first().map(|f| judge.cost(f)) else { return };
-    let equal = fits.iter().take_while(|f| judge.cost(f) - best < EQUAL).count();
-    fits[..equal].sort_by(|a, b| {
-        let key = |f: &Fit| (f.hypothesis.fitted.len(), f.hypothesis.effects.clone());
-        key(a).cmp(&key(b))
-    });
+/// Among the members of a class that the evidence does not tell apart from its best, the one with the fewest
+/// parameters leads; of equals the first in the library's order, which puts commands before readings.
+fn lead_with_the_simplest(class: &mut [usize], fits: &[Fit], judge: &Judge) {
+    let best = class.iter().map(|&k| judge.cost(&fits[k])).fold(f64::INFINITY, f64::min);
+    let key = |k: usize| {
+        let fit = &fits[k];
+        (fit.hypothesis.fitted.len(), fit.hypothesis.effects.clone())
+    };
+    let equal = class.iter().take_while(|&&k| judge.cost(&fits[k]) - best < EQUAL).count();
+    class[..equal].sort_by_key(|&k| key(k));
 }

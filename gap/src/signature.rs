@@ -76,8 +76,8 @@ pub fn orthonormal(columns: &DMatrix<f64>) -> DMatrix<f64> {
 #[must_use]
 pub fn of_fit(setup: &Setup, null: &Fit, fit: &Fit) -> DVector<f64> {
     let simulator = library::simulator(setup, &fit.hypothesis, fit.residuals.clone());
-    let with = walk(&simulator, &setup.train, &setup.noise, &null.innovation.noise, fit.theta());
-    let mut theta = fit.theta().to_vec();
+    let with = walk(&simulator, &setup.train, &setup.noise, &null.innovation.noise, fit.estimate());
+    let mut theta = fit.estimate().to_vec();
     for (value, fitted) in theta.iter_mut().zip(&fit.hypothesis.fitted) {
         // Calibrated parameters keep their place: the signature is the effect's alone.
         let calibrated = null.hypothesis.fitted.iter().any(|f| f.slot == fitted.slot);

@@ -6,7 +6,7 @@
 use nalgebra::{DMatrix, DVector};
 use parallax_model::plant::{Feature, Residual, Target, Variable};
 
-use crate::hypothesis::{Fitted, Hypothesis, Prior, Slot};
+use crate::hypothesis::{Fitted, Prior, Slot};
 use crate::innovation::walk;
 use crate::library;
 use crate::search::{Fit, fit_from};
