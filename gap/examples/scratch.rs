@@ -22,15 +22,43 @@ fn main() {
         ("wall", Hidden { wall: 0.3, ..d }),
     ];
     for (name, hidden) in cases {
-        if which != "all" && which != name { continue; }
+        if which != "all" && which != name {
+            continue;
+        }
         let t0 = std::time::Instant::now();
         let experiment = record(hidden, seed, 20.0);
         let system = parallax_model::system::System::parse(SYSTEM, "s.toml").unwrap();
-        let d = diagnosis::diagnose_experiment(system.equations().unwrap(), experiment, name, &Default::default(), &|_, _| ()).unwrap();
+        let d = diagnosis::diagnose_experiment(
+            system.equations().unwrap(),
+            experiment,
+            name,
+            &Default::default(),
+            &|_, _| (),
+        )
+        .unwrap();
         let r = &d.report;
         println!("== {name}: {}", r.summary);
-        println!("   p {:.1e} score {:.2} no-gap.. unexplained {:.3} {:.3}  far {:?}", r.gap.p_value, r.gap.score, r.unexplained.probability, r.unexplained.share, r.how_far);
-        for w in r.which.iter().take(4) { println!("   {:.4} {:?} {:?}", w.probability, w.class, w.effects.iter().map(|e| format!("{:?}", e.parameters.iter().map(|(n, v)| format!("{n} {:.4}±{:.4}", v.value, v.std)).collect::<Vec<_>>())).collect::<Vec<_>>()); }
+        println!(
+            "   p {:.1e} score {:.2} no-gap.. unexplained {:.3} {:.3}  far {:?}",
+            r.gap.p_value, r.gap.score, r.unexplained.probability, r.unexplained.share, r.how_far
+        );
+        for w in r.which.iter().take(4) {
+            println!(
+                "   {:.4} {:?} {:?}",
+                w.probability,
+                w.class,
+                w.effects
+                    .iter()
+                    .map(|e| format!(
+                        "{:?}",
+                        e.parameters
+                            .iter()
+                            .map(|(n, v)| format!("{n} {:.4}±{:.4}", v.value, v.std))
+                            .collect::<Vec<_>>()
+                    ))
+                    .collect::<Vec<_>>()
+            );
+        }
         println!("  time {:?}", t0.elapsed());
     }
 }

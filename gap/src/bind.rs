@@ -24,7 +24,9 @@ pub enum BindError {
         source: UnknownSignal,
     },
     /// An input is bound to a signal that cannot drive it.
-    #[error("{file}: input `{name}` is bound to `{signal}`, a {role}; inputs are driven by signals of role command or context, or by a reference that is bound on purpose")]
+    #[error(
+        "{file}: input `{name}` is bound to `{signal}`, a {role}; inputs are driven by signals of role command or context, or by a reference that is bound on purpose"
+    )]
     Role {
         /// The system's file.
         file: String,
@@ -36,7 +38,9 @@ pub enum BindError {
         role: &'static str,
     },
     /// An output and its signal have different units.
-    #[error("{file}: output `{name}` is in `{expected}`, but its signal `{signal}` is recorded in `{found}`; convert one of them, or correct the label")]
+    #[error(
+        "{file}: output `{name}` is in `{expected}`, but its signal `{signal}` is recorded in `{found}`; convert one of them, or correct the label"
+    )]
     Unit {
         /// The system's file.
         file: String,
@@ -88,7 +92,12 @@ pub fn bind(system: &System, log: &Log) -> Result<(Equations, Experiment), BindE
     let start = log.span().map_or(0, |(first, _)| first);
     let seconds = |time: i64| (time - start) as f64 * 1e-9;
     let find = |kind, name: &str, signal: &str| -> Result<&Signal, BindError> {
-        log.signal(signal).map_err(|source| BindError::Signal { file: file(), kind, name: name.into(), source })
+        log.signal(signal).map_err(|source| BindError::Signal {
+            file: file(),
+            kind,
+            name: name.into(),
+            source,
+        })
     };
     let mut experiment = Experiment::default();
     for input in &system.inputs {
@@ -125,7 +134,11 @@ pub fn bind(system: &System, log: &Log) -> Result<(Equations, Experiment), BindE
             });
         }
         let samples = signal.times.iter().zip(&signal.values);
-        experiment.samples.extend(samples.map(|(t, v)| Sample { stamp: seconds(*t), output: index, value: *v }));
+        experiment.samples.extend(samples.map(|(t, v)| Sample {
+            stamp: seconds(*t),
+            output: index,
+            value: *v,
+        }));
         experiment.wraps.push(output.wrap);
     }
     experiment.samples.sort_by(|a, b| a.stamp.total_cmp(&b.stamp).then(a.output.cmp(&b.output)));

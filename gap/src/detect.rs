@@ -24,7 +24,8 @@ pub fn p_value(nuisance: &Nuisance, groups: &[DMatrix<f64>], seed: u64) -> f64 {
     if bases.is_empty() {
         return 1.0;
     }
-    let columns: Vec<DVector<f64>> = bases.iter().flat_map(|b| b.column_iter().map(|c| c.into_owned())).collect();
+    let columns: Vec<DVector<f64>> =
+        bases.iter().flat_map(|b| b.column_iter().map(|c| c.into_owned())).collect();
     let joint = orthonormal(&DMatrix::from_columns(&columns));
     let seen = joint.transpose() * &nuisance.innovations;
     let maps: Vec<DMatrix<f64>> = bases.iter().map(|b| b.transpose() * &joint).collect();
@@ -83,7 +84,8 @@ fn log_erfc(z: f64) -> f64 {
                 + t * (0.096_784_18
                     + t * (-0.186_288_06
                         + t * (0.278_868_07
-                            + t * (-1.135_203_98 + t * (1.488_515_87 + t * (-0.822_152_23 + t * 0.170_872_77))))))));
+                            + t * (-1.135_203_98
+                                + t * (1.488_515_87 + t * (-0.822_152_23 + t * 0.170_872_77))))))));
     t.ln() + polynomial
 }
 
@@ -94,9 +96,13 @@ mod tests {
     #[test]
     fn chi_square_tails_match_tables() {
         // Abramowitz & Stegun, table 26.8: the 5 % and 0.1 % points.
-        for (degrees, five, tenth) in
-            [(1, 3.841, 10.828), (2, 5.991, 13.816), (3, 7.815, 16.266), (5, 11.070, 20.515), (10, 18.307, 29.588)]
-        {
+        for (degrees, five, tenth) in [
+            (1, 3.841, 10.828),
+            (2, 5.991, 13.816),
+            (3, 7.815, 16.266),
+            (5, 11.070, 20.515),
+            (10, 18.307, 29.588),
+        ] {
             assert!((log_chi_square_tail(five, degrees).exp() - 0.05).abs() < 2e-4, "{degrees}");
             assert!((log_chi_square_tail(tenth, degrees).exp() - 0.001).abs() < 1e-5, "{degrees}");
         }

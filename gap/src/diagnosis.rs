@@ -15,7 +15,8 @@ use crate::library;
 use crate::posterior::{self, Answer};
 use crate::quantify::{self, Row};
 use crate::report::{
-    Absorbed, Calibration, Confusable, FittedEffect, Gap, HowFar, NotTestable, Overlay, Report, Unexplained, Value, Where, Which,
+    Absorbed, Calibration, Confusable, FittedEffect, Gap, HowFar, NotTestable, Overlay, Report, Unexplained,
+    Value, Where, Which,
 };
 use crate::search::{self, Fit};
 use crate::setup::Setup;
@@ -52,7 +53,9 @@ pub enum DiagnosisError {
         count: usize,
     },
     /// The log is too short for the windows.
-    #[error("recording `{title}` spans {span} s; windows of {horizon} s need at least {needed} s. Record longer, or shorten the horizon")]
+    #[error(
+        "recording `{title}` spans {span} s; windows of {horizon} s need at least {needed} s. Record longer, or shorten the horizon"
+    )]
     Short {
         /// The recording.
         title: String,
@@ -64,7 +67,9 @@ pub enum DiagnosisError {
         needed: f64,
     },
     /// The nominal model cannot be run along the log.
-    #[error("{file}: the nominal system gives numbers that are not finite along recording `{title}`; check its equations and initial values against the log's range")]
+    #[error(
+        "{file}: the nominal system gives numbers that are not finite along recording `{title}`; check its equations and initial values against the log's range"
+    )]
     NotFinite {
         /// The system's file.
         file: String,
@@ -129,7 +134,10 @@ pub fn diagnose_experiment(
     progress(0.0, "nominal model");
     let null = search::null(&setup);
     if !null.innovation.minimum.cost.is_finite() {
-        return Err(DiagnosisError::NotFinite { file: setup.equations.system().file.clone(), title: title.into() });
+        return Err(DiagnosisError::NotFinite {
+            file: setup.equations.system().file.clone(),
+            title: title.into(),
+        });
     }
     let nuisance = Nuisance::new(&null);
     let (candidates, mut not_testable) = library::candidates(&setup);
@@ -138,12 +146,17 @@ pub fn diagnose_experiment(
     let done = std::sync::atomic::AtomicUsize::new(0);
     let fits = search::singles(&setup, &null, &candidates, &|label| {
         let k = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
-        progress(0.1 + 0.6 * k as f64 / candidates.len() as f64, label);
+        progress(0.05 + 0.45 * k as f64 / candidates.len() as f64, label);
     });
-    progress(0.72, "unknowns");
-    let answers = posterior::weigh(&setup, &null, &nuisance, fits);
+    progress(0.5, "unknown cause");
+    let weighed = std::sync::atomic::AtomicUsize::new(0);
+    let answers = posterior::weigh(&setup, &null, &nuisance, fits, &|label| {
+        let k = weighed.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
+        progress(0.5 + 0.1 * k as f64, label);
+    });
     let mut columns = columns;
-    columns.extend(unknown::kinds(&setup).into_iter().map(|kind| unknown::columns(&setup, &null, kind)));
+    columns
+        .extend(unknown::kinds(&setup).into_iter().map(|kind| unknown::columns(&setup, &null, &null, kind)));
     let p_value = detect::p_value(&nuisance, &columns, options.seed);
     progress(0.92, "held-out time");
     Ok(conclude(&setup, title, options, Found { null, answers, p_value, not_testable, absorbed }))
@@ -215,7 +228,12 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
     let nominal_theta: Vec<f64> = null.hypothesis.fitted.iter().map(|f| f.null).collect();
     let simulator = library::simulator(setup, &null.hypothesis, Vec::new());
     let pass = walk(&simulator, &setup.train, &setup.noise, &null.innovation.noise, &nominal_theta);
-    let noise = pass.refit_noise(&setup.noise.scale, &null.innovation.noise, &setup.noise.limits, setup.noise.process_floor);
+    let noise = pass.refit_noise(
+        &setup.noise.scale,
+        &null.innovation.noise,
+        &setup.noise.limits,
+        setup.noise.process_floor,
+    );
     let nominal = quantify::predict(setup, &simulator, &nominal_theta, &noise);
     let refitted = row(&null);
     let with_effect = if detected && named { row(best) } else { refitted.clone() };
@@ -238,8 +256,9 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
         probability: answers.unexplained,
         share: if detected { (left / gap_square).min(1.0) } else { 0.0 },
     };
-    let overlays =
-        (0..setup.experiment.wraps.len()).map(|o| quantify::overlay(setup, o, &refitted, &with_effect)).collect();
+    let overlays = (0..setup.experiment.wraps.len())
+        .map(|o| quantify::overlay(setup, o, &refitted, &with_effect))
+        .collect();
 
     let shown = if detected && named { best } else { &null };
     let report = Report {
@@ -260,8 +279,12 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
         how_far,
         corrected_system: None,
     };
-    let mut diagnosis =
-        Diagnosis { report, overlays, calibrated: corrected_values(setup, shown), effects: corrected_effects(setup, shown) };
+    let mut diagnosis = Diagnosis {
+        report,
+        overlays,
+        calibrated: corrected_values(setup, shown),
+        effects: corrected_effects(setup, shown),
+    };
     diagnosis.report.summary = crate::sentence::summary(&diagnosis.report);
     diagnosis
 }
@@ -299,7 +322,8 @@ fn fitted_effects(setup: &Setup, fit: &Fit) -> Vec<FittedEffect> {
                 let own = match f.slot {
                     Slot::Effect { effect, .. } => effect == e,
                     Slot::Nominal(index) => {
-                        at.effect == Effect::Parameter && library::place_index(setup, &at.place) == Some(index)
+                        at.effect == Effect::Parameter
+                            && library::place_index(setup, &at.place) == Some(index)
                     }
                     Slot::Weight(_) => false,
                 };
@@ -360,10 +384,12 @@ fn confusable(posterior: &posterior::Posterior) -> Vec<Confusable> {
 
 /// What tells the members of a class apart, from what is known of each pair.
 fn separation(members: &[EffectAt]) -> String {
-    let has = |effect: Effect, kind: PlaceKind| members.iter().any(|m| m.effect == effect && m.place.kind == kind);
+    let has =
+        |effect: Effect, kind: PlaceKind| members.iter().any(|m| m.effect == effect && m.place.kind == kind);
     let any = |effect: Effect| members.iter().any(|m| m.effect == effect);
     if has(Effect::Delay, PlaceKind::Input) && has(Effect::Delay, PlaceKind::Output) {
-        "a second sensor with its own stamps, or a disturbance that the sensor sees and the command does not".into()
+        "a second sensor with its own stamps, or a disturbance that the sensor sees and the command does not"
+            .into()
     } else if any(Effect::Delay) && any(Effect::Lag) {
         "a chirp on the command up to the highest frequency the sampling allows".into()
     } else if any(Effect::Bias) && any(Effect::Offset) {

@@ -45,16 +45,28 @@ impl Simulator for EquationsSimulator<'_> {
     }
 
     fn run<'a>(&'a self, theta: &[f64]) -> Box<dyn Run + 'a> {
+        self.walk(theta, self.slots.len())
+    }
+
+    fn run_at<'a>(&'a self, theta: &[f64]) -> Box<dyn Run + 'a> {
+        self.walk(theta, 0)
+    }
+}
+
+impl EquationsSimulator<'_> {
+    /// A walk with derivatives by the first `variables` entries of θ.
+    fn walk<'a>(&'a self, theta: &[f64], variables: usize) -> Box<dyn Run + 'a> {
         // The gradient has a fixed length; the next larger one is taken.
-        match self.states() + self.slots.len() {
-            0..=4 => Box::new(EquationsRun::<4>::new(self, theta)),
-            5..=8 => Box::new(EquationsRun::<8>::new(self, theta)),
-            9..=12 => Box::new(EquationsRun::<12>::new(self, theta)),
-            13..=16 => Box::new(EquationsRun::<16>::new(self, theta)),
-            17..=24 => Box::new(EquationsRun::<24>::new(self, theta)),
-            25..=40 => Box::new(EquationsRun::<40>::new(self, theta)),
-            41..=64 => Box::new(EquationsRun::<64>::new(self, theta)),
-            _ => Box::new(EquationsRun::<128>::new(self, theta)),
+        match self.states() + variables {
+            0..=2 => Box::new(EquationsRun::<2>::new(self, theta, variables)),
+            3..=4 => Box::new(EquationsRun::<4>::new(self, theta, variables)),
+            5..=8 => Box::new(EquationsRun::<8>::new(self, theta, variables)),
+            9..=12 => Box::new(EquationsRun::<12>::new(self, theta, variables)),
+            13..=16 => Box::new(EquationsRun::<16>::new(self, theta, variables)),
+            17..=24 => Box::new(EquationsRun::<24>::new(self, theta, variables)),
+            25..=40 => Box::new(EquationsRun::<40>::new(self, theta, variables)),
+            41..=64 => Box::new(EquationsRun::<64>::new(self, theta, variables)),
+            _ => Box::new(EquationsRun::<128>::new(self, theta, variables)),
         }
     }
 }
@@ -69,6 +81,8 @@ struct Change<const N: usize> {
 /// A walk with gradients of length `N`: states first, then θ.
 struct EquationsRun<'a, const N: usize> {
     simulator: &'a EquationsSimulator<'a>,
+    /// How many entries of θ are variables.
+    variables: usize,
     extra: Vec<Dual<N>>,
     machine: Machine<N>,
     changes: Vec<Vec<Change<N>>>,
@@ -97,7 +111,14 @@ impl<const N: usize> Machine<N> {
 
     /// One step of the classical fourth-order Runge–Kutta method (Hairer, Nørsett & Wanner, "Solving Ordinary
     /// Differential Equations I", section II.1), with held commands.
-    fn runge_kutta(&mut self, program: &Program, x: &mut [Dual<N>], dt: Dual<N>, time: Dual<N>, stage: &mut Stage<N>) {
+    fn runge_kutta(
+        &mut self,
+        program: &Program,
+        x: &mut [Dual<N>],
+        dt: Dual<N>,
+        time: Dual<N>,
+        stage: &mut Stage<N>,
+    ) {
         let half = dt * 0.5;
         let sixth = dt / 6.0;
         stage.from.copy_from_slice(x);
@@ -124,14 +145,15 @@ struct Stage<const N: usize> {
 }
 
 impl<'a, const N: usize> EquationsRun<'a, N> {
-    fn new(simulator: &'a EquationsSimulator<'a>, theta: &[f64]) -> Self {
+    fn new(simulator: &'a EquationsSimulator<'a>, theta: &[f64], variables: usize) -> Self {
         let n = simulator.states();
         let mut parameters: Vec<Dual<N>> =
             simulator.plant.equations().nominal().into_iter().map(Dual::from_value).collect();
         let mut extra = vec![Dual::from_value(0.0); simulator.plant.extra_parameters()];
         let first_weight: usize = simulator.plant.effects().iter().map(|b| b.effect.parameters().len()).sum();
         for (j, (slot, value)) in simulator.slots.iter().zip(theta).enumerate() {
-            let variable = Dual::variable(*value, n + j);
+            let variable =
+                if j < variables { Dual::variable(*value, n + j) } else { Dual::from_value(*value) };
             match *slot {
                 Slot::Nominal(index) => parameters[index] = variable,
                 Slot::Effect { effect, parameter } => {
@@ -149,6 +171,7 @@ impl<'a, const N: usize> EquationsRun<'a, N> {
         let machine = Machine { inputs: all, states, commands: states + n, workspace: Workspace::new() };
         let mut run = EquationsRun {
             simulator,
+            variables,
             extra,
             machine,
             changes,
@@ -217,13 +240,23 @@ impl<'a, const N: usize> EquationsRun<'a, N> {
     }
 }
 
-fn find<'e, T>(plant: &Plant, extra: &'e [T], effect: Effect, kind: PlaceKind, index: usize) -> Option<&'e [T]> {
+fn find<'e, T>(
+    plant: &Plant,
+    extra: &'e [T],
+    effect: Effect,
+    kind: PlaceKind,
+    index: usize,
+) -> Option<&'e [T]> {
     let bound = plant.effects().iter().find(|b| b.effect == effect && b.kind == kind && b.index == index)?;
     Some(&extra[bound.first..bound.first + effect.parameters().len()])
 }
 
 /// The command as it reaches the plant: late, changed in value, smoothed.
-fn changes<const N: usize>(simulator: &EquationsSimulator<'_>, extra: &[Dual<N>], input: usize) -> Vec<Change<N>> {
+fn changes<const N: usize>(
+    simulator: &EquationsSimulator<'_>,
+    extra: &[Dual<N>],
+    input: usize,
+) -> Vec<Change<N>> {
     let plant = &simulator.plant;
     let held = &simulator.experiment.inputs[input];
     let delay = find(plant, extra, Effect::Delay, PlaceKind::Input, input).map(|p| p[0]);
@@ -259,7 +292,7 @@ impl<const N: usize> Run for EquationsRun<'_, N> {
 
     fn advance(&mut self, index: usize, state: &mut [f64], transition: &mut Transition) {
         let n = state.len();
-        let p = self.simulator.slots.len();
+        let p = self.variables;
         self.load_commands(index);
         let mut time = self.times[index];
         let span = self.times[index + 1] - time;
@@ -287,7 +320,7 @@ impl<const N: usize> Run for EquationsRun<'_, N> {
 
     fn observe(&mut self, index: usize, state: &[f64], prediction: &mut Prediction) {
         let n = state.len();
-        let p = self.simulator.slots.len();
+        let p = self.variables;
         self.load_commands(index);
         let x: Vec<Dual<N>> = state.iter().enumerate().map(|(i, v)| Dual::variable(*v, i)).collect();
         let output = self.events[index].reading.map_or(0, |r| r.output);

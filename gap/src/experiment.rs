@@ -46,7 +46,8 @@ impl Held {
     /// What a plant does over an interval depends on the command's mean there, to second order in the interval.
     #[must_use]
     pub fn averaged(&self, grid: f64) -> Held {
-        let period = crate::statistics::median(&mut self.times.windows(2).map(|w| w[1] - w[0]).collect::<Vec<_>>());
+        let period =
+            crate::statistics::median(&mut self.times.windows(2).map(|w| w[1] - w[0]).collect::<Vec<_>>());
         let (Some(first), Some(last)) = (self.times.first(), self.times.last()) else { return self.clone() };
         if period <= 0.0 || period > 0.67 * grid {
             return self.clone();

@@ -164,8 +164,11 @@ pub fn filter(
             if let Some(reading) = run.events()[index].reading {
                 run.observe(index, &x, &mut prediction);
                 let innovation = wrapped(reading.value - prediction.value, run.wrap(reading.output));
-                let s =
-                    covariance.innovate(&prediction.by_state, noise.log_output[reading.output].exp(), &mut gain);
+                let s = covariance.innovate(
+                    &prediction.by_state,
+                    noise.log_output[reading.output].exp(),
+                    &mut gain,
+                );
                 let row = pass.by_parameter.len();
                 for j in 0..p {
                     let through: f64 = (0..n).map(|i| prediction.by_state[i] * sensitivity[i * p + j]).sum();
@@ -235,7 +238,11 @@ impl Pass {
     #[must_use]
     pub fn whitened_by_parameter(&self) -> Vec<f64> {
         let p = self.parameters.max(1);
-        self.by_parameter.chunks(p).zip(&self.variance).flat_map(|(row, s)| row.iter().map(move |d| d / s.sqrt())).collect()
+        self.by_parameter
+            .chunks(p)
+            .zip(&self.variance)
+            .flat_map(|(row, s)| row.iter().map(move |d| d / s.sqrt()))
+            .collect()
     }
 
     /// Adds this pass's JᵀJ and Jᵀe of the whitened innovations to `information` (p × p) and `gradient` (p).
@@ -305,7 +312,13 @@ impl Pass {
     ///
     /// `limits` bound each output's log variance, equal ones fix it; `process_floor` bounds the process noise.
     #[must_use]
-    pub fn refit_noise(&self, scale: &[f64], noise: &Noise, limits: &[(f64, f64)], process_floor: f64) -> Noise {
+    pub fn refit_noise(
+        &self,
+        scale: &[f64],
+        noise: &Noise,
+        limits: &[(f64, f64)],
+        process_floor: f64,
+    ) -> Noise {
         let mut best = noise.clone();
         let mut cost = self.cost_at(scale, &best);
         let process = scale.iter().any(|s| *s > 0.0);

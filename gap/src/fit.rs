@@ -141,10 +141,8 @@ impl Minimum {
     #[must_use]
     pub fn std(&self) -> Vec<f64> {
         let p = self.theta.len();
-        self.covariance().map_or_else(
-            || vec![f64::INFINITY; p],
-            |c| (0..p).map(|i| c[(i, i)].max(0.0).sqrt()).collect(),
-        )
+        self.covariance()
+            .map_or_else(|| vec![f64::INFINITY; p], |c| (0..p).map(|i| c[(i, i)].max(0.0).sqrt()).collect())
     }
 
     /// Covariance of θ by the curvature at the minimum, if it is curved in every direction.

@@ -46,7 +46,13 @@ pub struct InnovationFit {
 }
 
 /// The filter's walk of `simulator` over the segments at θ.
-pub fn walk(simulator: &dyn Simulator, segments: &[Segment], model: &NoiseModel, noise: &Noise, theta: &[f64]) -> Pass {
+pub fn walk(
+    simulator: &dyn Simulator,
+    segments: &[Segment],
+    model: &NoiseModel,
+    noise: &Noise,
+    theta: &[f64],
+) -> Pass {
     let mut run = simulator.run(theta);
     let starts: Vec<Start> = segments
         .iter()

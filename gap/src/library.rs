@@ -56,7 +56,11 @@ fn testable(setup: &Setup, kind: PlaceKind, index: usize) -> Result<(), String> 
         }
         PlaceKind::Joint => {
             setup.equations.system().joints[index].entry().map_err(str::to_owned)?;
-            if setup.joints[index].speed > 1e-9 { Ok(()) } else { Err("the joint never moves in this log".into()) }
+            if setup.joints[index].speed > 1e-9 {
+                Ok(())
+            } else {
+                Err("the joint never moves in this log".into())
+            }
         }
         _ => Ok(()),
     }
@@ -75,7 +79,15 @@ pub fn hypothesis(setup: &Setup, effects: &[EffectAt]) -> Hypothesis {
         }
         for (k, spec) in at.effect.parameters().iter().enumerate() {
             let slot = Slot::Effect { effect: e, parameter: k };
-            fitted.push(effect_parameter(setup, spec.name, spec.quantity, spec.signed, at.place.kind, index, slot));
+            fitted.push(effect_parameter(
+                setup,
+                spec.name,
+                spec.quantity,
+                spec.signed,
+                at.place.kind,
+                index,
+                slot,
+            ));
         }
     }
     Hypothesis { effects: effects.to_vec(), fitted, residual: false }
@@ -213,7 +225,11 @@ pub fn place_index(setup: &Setup, place: &Place) -> Option<usize> {
 
 /// The simulator of a hypothesis.
 #[must_use]
-pub fn simulator<'a>(setup: &'a Setup, hypothesis: &Hypothesis, residuals: Vec<Residual>) -> EquationsSimulator<'a> {
+pub fn simulator<'a>(
+    setup: &'a Setup,
+    hypothesis: &Hypothesis,
+    residuals: Vec<Residual>,
+) -> EquationsSimulator<'a> {
     let mut effects = Vec::new();
     for at in &hypothesis.effects {
         effects.push((at.effect, at.place.kind, place_index(setup, &at.place).unwrap_or(0)));

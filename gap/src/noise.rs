@@ -34,7 +34,11 @@ pub fn resolution(values: &[f64]) -> f64 {
             steps.push(step);
         }
     }
-    if repeats * 5 < sorted.len() || steps.is_empty() { 0.0 } else { steps.iter().copied().fold(f64::INFINITY, f64::min) }
+    if repeats * 5 < sorted.len() || steps.is_empty() {
+        0.0
+    } else {
+        steps.iter().copied().fold(f64::INFINITY, f64::min)
+    }
 }
 
 /// An angle followed across its wraps.
@@ -57,7 +61,8 @@ mod tests {
 
     #[test]
     fn noise_of_a_grid_is_its_rounding() {
-        let values: Vec<f64> = (0..2000).map(|k| ((f64::from(k) * 0.001).sin() * 100.0).round() / 100.0).collect();
+        let values: Vec<f64> =
+            (0..2000).map(|k| ((f64::from(k) * 0.001).sin() * 100.0).round() / 100.0).collect();
         assert!((resolution(&values) - 0.01).abs() < 1e-6);
         let estimate = model_free(&values, None);
         assert!((0.002..0.004).contains(&estimate), "{estimate}");

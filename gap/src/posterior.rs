@@ -6,7 +6,7 @@ use crate::hypothesis::EffectAt;
 use crate::search::{Fit, INEXACT};
 use crate::setup::Setup;
 use crate::signature::{self, Nuisance, SAME};
-use crate::unknown::{self, Choice};
+use crate::unknown;
 use rayon::prelude::*;
 
 /// Temperature of the log posterior: readings are less independent than the likelihood believes.
@@ -62,38 +62,54 @@ impl Posterior {
     }
 }
 
-/// Weighs single effects, no gap and the unknowns.
+/// Weighs single effects, no gap and the unknowns; `done` is told of each unknown that was fitted, four at most.
 #[must_use]
-pub fn weigh(setup: &Setup, null: &Fit, nuisance: &Nuisance, mut fits: Vec<Fit>) -> Posterior {
+pub fn weigh(
+    setup: &Setup,
+    null: &Fit,
+    nuisance: &Nuisance,
+    mut fits: Vec<Fit>,
+    done: &(dyn Fn(&str) + Sync),
+) -> Posterior {
     let judge = Judge::new(null, &fits);
     fits.sort_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
     let each = (1.0 - PRIOR_NO_GAP - PRIOR_UNKNOWN) / fits.len().max(1) as f64;
-    let log_null = PRIOR_NO_GAP.ln();
-    let logs: Vec<f64> =
-        fits.iter().map(|f| -0.5 * (judge.cost(f) - judge.cost(null)) / TEMPERATURE + each.ln()).collect();
-    let largest = logs.iter().copied().fold(log_null, f64::max);
-    let total: f64 = logs.iter().chain([&log_null]).map(|l| (l - largest).exp()).sum();
 
     // The unknowns stand alone and on top of the leading effect: if the effect adds nothing to them, it is no cause.
-    let alone: Vec<(Choice, Fit)> =
-        unknown::kinds(setup)
-            .into_par_iter()
-            .map(|kind| {
-                let choice = unknown::choose(setup, null, kind);
-                (choice, unknown::fit_unknown(setup, null, null, choice))
-            })
-            .collect();
-    let alone = alone.into_iter().min_by(|a, b| a.1.innovation.evidence_cost.total_cmp(&b.1.innovation.evidence_cost));
-    let together = alone.as_ref().zip(fits.first()).map(|((choice, _), best)| unknown::fit_unknown(setup, null, best, *choice));
-    let alone = alone.map(|(_, fit)| fit);
-    let named = [Some(null), fits.first(), together.as_ref()].into_iter().flatten();
-    let named = named.map(|f| f.innovation.evidence_cost).fold(f64::INFINITY, f64::min);
-    let unexplained = alone.as_ref().map_or(0.0, |alone| {
-        let odds = (-0.5 * (alone.innovation.evidence_cost - named) / TEMPERATURE).exp() * PRIOR_UNKNOWN
-            / (1.0 - PRIOR_UNKNOWN);
-        if odds.is_finite() { odds / (1.0 + odds) } else { 1.0 }
-    });
-    let probability = |log: f64| (1.0 - unexplained) * (log - largest).exp() / total;
+    let alone: Vec<Fit> = unknown::kinds(setup)
+        .into_par_iter()
+        .map(|kind| {
+            let fit = unknown::fit_unknown(setup, null, null, unknown::choose(setup, null, null, kind));
+            done("unknown cause");
+            fit
+        })
+        .collect();
+    let together: Vec<Fit> = unknown::kinds(setup)
+        .into_par_iter()
+        .filter_map(|kind| fits.first().map(|best| (kind, best)))
+        .map(|(kind, best)| {
+            let fit = unknown::fit_unknown(setup, null, best, unknown::choose(setup, null, best, kind));
+            done("unknown beside the leading cause");
+            fit
+        })
+        .collect();
+    let least = |fits: Vec<Fit>| fits.into_iter().min_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
+    let (alone, together) = (least(alone), least(together));
+
+    let log_weight =
+        |fit: &Fit, prior: f64| -0.5 * (judge.cost(fit) - judge.cost(null)) / TEMPERATURE + prior.ln();
+    let mut logs: Vec<f64> = fits.iter().map(|f| log_weight(f, each)).collect();
+    // What a residual adds to the leader counts for the leader.
+    if let (Some(first), Some(together)) = (logs.first_mut(), &together) {
+        *first = first.max(log_weight(together, each * PRIOR_UNKNOWN));
+    }
+    let log_null = PRIOR_NO_GAP.ln();
+    let log_unknown = alone.as_ref().map_or(f64::NEG_INFINITY, |fit| log_weight(fit, PRIOR_UNKNOWN));
+    // A residual that the evidence does not ask for would only fit noise.
+    let together = together.filter(|t| fits.first().is_some_and(|best| judge.cost(t) < judge.cost(best)));
+    let largest = logs.iter().copied().fold(log_null.max(log_unknown), f64::max);
+    let total: f64 = logs.iter().chain([&log_null, &log_unknown]).map(|l| (l - largest).exp()).sum();
+    let probability = |log: f64| (log - largest).exp() / total;
 
     let signatures: Vec<DVector<f64>> =
         fits.iter().map(|f| nuisance.project(&signature::of_fit(setup, null, f))).collect();
@@ -109,7 +125,8 @@ pub fn weigh(setup: &Setup, null: &Fit, nuisance: &Nuisance, mut fits: Vec<Fit>)
         let mut class: Vec<usize> = (first..fits.len())
             .filter(|&k| {
                 let near = judge.cost(&fits[k]) - judge.cost(&fits[first]) < DECISIVE;
-                !taken[k] && (k == first || (near && signature::cosine(&signatures[first], &signatures[k]) > SAME))
+                !taken[k]
+                    && (k == first || (near && signature::cosine(&signatures[first], &signatures[k]) > SAME))
             })
             .collect();
         for &k in &class {
@@ -131,7 +148,7 @@ pub fn weigh(setup: &Setup, null: &Fit, nuisance: &Nuisance, mut fits: Vec<Fit>)
     Posterior {
         answers,
         no_gap: probability(log_null),
-        unexplained,
+        unexplained: probability(log_unknown),
         residual_alone: alone,
         residual_on_leader: together,
     }
@@ -139,26 +156,29 @@ pub fn weigh(setup: &Setup, null: &Fit, nuisance: &Nuisance, mut fits: Vec<Fit>)
 
 /// Which loss decides, and what it says of a fit.
 ///
-/// Where some hypothesis reaches the sensors' noise, the innovation likelihood is that of the data, and its evidence
-/// decides. Where none does, as on any real machine, its innovations are ruled by what every hypothesis lacks; the
-/// short windows judge what a simulator is for, and count as many readings as their correlation leaves.
+/// Where some hypothesis reaches the sensors' noise, both losses are likelihoods of the data, and their mean decides:
+/// the two fail in different cases. Where none does, as on any real machine, the innovations are ruled by what every
+/// hypothesis lacks; the short windows judge what a simulator is for. Either way the windows' readings count for as
+/// many as their correlation leaves.
 struct Judge {
-    independence: Option<f64>,
+    independence: f64,
+    exact: bool,
 }
 
 impl Judge {
     fn new(null: &Fit, fits: &[Fit]) -> Self {
-        let best = fits.iter().chain([null]).min_by(|a, b| a.shooting_error.total_cmp(&b.shooting_error));
-        let independence = best.filter(|b| b.shooting_error > INEXACT).map(|b| b.independence);
-        Judge { independence }
+        let best = fits
+            .iter()
+            .chain([null])
+            .min_by(|a, b| a.shooting_error.total_cmp(&b.shooting_error))
+            .unwrap_or(null);
+        Judge { independence: best.independence, exact: best.shooting_error <= INEXACT }
     }
 
     /// −2 log evidence, up to a constant.
     fn cost(&self, fit: &Fit) -> f64 {
-        match self.independence {
-            Some(share) => share * fit.shooting_cost,
-            None => fit.innovation.evidence_cost,
-        }
+        let windows = self.independence * fit.shooting_cost;
+        if self.exact { 0.5 * (fit.innovation.evidence_cost + windows) } else { windows }
     }
 }
 

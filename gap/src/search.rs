@@ -23,7 +23,7 @@ pub struct Fit {
     pub innovation: InnovationFit,
     /// Its fit by short windows, and N log(SSE/N) with the priors.
     pub shooting: Minimum,
-    /// Bayesian information criterion of the short windows.
+    /// −2 log evidence of the short windows.
     pub shooting_cost: f64,
     /// Mean squared residual of the short windows, in noise units squared.
     pub shooting_error: f64,
@@ -60,12 +60,15 @@ impl Fit {
     }
 
     fn by_windows(&self) -> bool {
-        self.shooting_error > INEXACT && self.shooting.theta.len() == self.theta().len() && self.residuals.is_empty()
+        self.shooting_error > INEXACT && self.shooting.theta.len() == self.theta().len()
     }
 }
 
 /// Most Gauss–Newton steps of a fit.
 const ITERATIONS: usize = 25;
+
+/// The same where the parameters that are added enter linearly.
+const FEW_ITERATIONS: usize = 4;
 
 /// A fit by short windows.
 struct Shot {
@@ -145,17 +148,20 @@ fn fit_windows(
     hypothesis: &Hypothesis,
     windows: &[Window],
     start: &[f64],
+    iterations: usize,
 ) -> Shot {
-    let (n, p) = (simulator.states(), simulator.parameters());
+    let n = simulator.states();
     // Residuals are at least the sensor's noise; the initial states take up some of it.
     let floor: Vec<f64> = setup.output_noise.iter().map(|s| 0.25 * s * s).collect();
     let mut variance: Vec<f64> = setup.output_noise.iter().map(|s| 4.0 * s * s).collect();
     let mut windows = windows.to_vec();
     let mut residuals = Residuals::default();
-    let minimum = minimise(&hypothesis.fitted, start, ITERATIONS, |theta, accepted| {
-        let mut run = simulator.run(theta);
-        let (mut local, found) = shoot(&mut *run, &mut windows, n, p, &variance);
+    let minimum = minimise(&hypothesis.fitted, start, iterations, |theta, accepted| {
+        // A trial that is rejected must not leave its initial states behind.
+        let mut trial = windows.clone();
+        let (mut local, found) = shoot(simulator, theta, &mut trial, &variance);
         if accepted {
+            windows = trial;
             let outputs = found.counts.iter().filter(|c| **c > 0).count().max(1);
             let mut changed = false;
             for (o, v) in variance.iter_mut().enumerate() {
@@ -166,7 +172,7 @@ fn fit_windows(
             }
             residuals = found;
             if changed {
-                (local, residuals) = shoot(&mut *run, &mut windows, n, p, &variance);
+                (local, residuals) = shoot(simulator, theta, &mut windows, &variance);
             }
         }
         if !local.cost.is_finite() {
@@ -174,8 +180,7 @@ fn fit_windows(
         }
         local
     });
-    let readings: usize = residuals.counts.iter().sum();
-    let cost = minimum.cost + p as f64 * (readings.max(1) as f64).ln();
+    let cost = minimum.evidence_cost(&hypothesis.fitted);
     Shot { minimum, cost, residuals }
 }
 
@@ -186,10 +191,15 @@ pub fn null(setup: &Setup) -> Fit {
     let simulator = library::simulator(setup, &hypothesis, Vec::new());
     let start: Vec<f64> = hypothesis.fitted.iter().map(|f| f.null).collect();
     let walked = walk(&simulator, &setup.train, &setup.noise, &setup.noise.initial, &start);
-    let noise = walked.refit_noise(&setup.noise.scale, &setup.noise.initial, &setup.noise.limits, setup.noise.process_floor);
+    let noise = walked.refit_noise(
+        &setup.noise.scale,
+        &setup.noise.initial,
+        &setup.noise.limits,
+        setup.noise.process_floor,
+    );
     let innovation = fit(&simulator, &hypothesis, &setup.train, &setup.noise, &noise, &start, ITERATIONS);
     let windows = windows(setup, &setup.train, &innovation.pass);
-    let shot = fit_windows(setup, &simulator, &hypothesis, &windows, &innovation.minimum.theta);
+    let shot = fit_windows(setup, &simulator, &hypothesis, &windows, &innovation.minimum.theta, ITERATIONS);
     assemble(setup, hypothesis, Vec::new(), innovation, shot)
 }
 
@@ -221,18 +231,27 @@ pub fn fit_hypothesis(setup: &Setup, null: &Fit, hypothesis: Hypothesis, residua
     let mut starts = hypothesis.starts();
     for start in &mut starts {
         continue_from(null, &hypothesis, start);
-        let shot = fit_windows(setup, &simulator, &hypothesis, &windows, start);
+        let shot = fit_windows(setup, &simulator, &hypothesis, &windows, start, ITERATIONS);
         if best.as_ref().is_none_or(|b| shot.cost < b.cost) {
             best = Some(shot);
         }
     }
     let Some(shot) = best else { return null.clone() };
-    let mut innovation =
-        fit(&simulator, &hypothesis, &setup.train, &setup.noise, &null.innovation.noise, &shot.minimum.theta, ITERATIONS);
+    let mut innovation = fit(
+        &simulator,
+        &hypothesis,
+        &setup.train,
+        &setup.noise,
+        &null.innovation.noise,
+        &shot.minimum.theta,
+        ITERATIONS,
+    );
     // The two losses can end in different minima; the effect's null is always a candidate.
-    let mut start: Vec<f64> = hypothesis.fitted.iter().map(|f| f.starts.first().copied().unwrap_or(f.null)).collect();
+    let mut start: Vec<f64> =
+        hypothesis.fitted.iter().map(|f| f.starts.first().copied().unwrap_or(f.null)).collect();
     continue_from(null, &hypothesis, &mut start);
-    let other = fit(&simulator, &hypothesis, &setup.train, &setup.noise, &null.innovation.noise, &start, ITERATIONS);
+    let other =
+        fit(&simulator, &hypothesis, &setup.train, &setup.noise, &null.innovation.noise, &start, ITERATIONS);
     if other.evidence_cost < innovation.evidence_cost {
         innovation = other;
     }
@@ -250,9 +269,21 @@ pub fn fit_from(
 ) -> Fit {
     let simulator = library::simulator(setup, &hypothesis, residuals.clone());
     // Weights enter linearly, so few steps reach the minimum.
-    let innovation =
-        fit(&simulator, &hypothesis, &setup.train, &setup.noise, &base.innovation.noise, start, 4);
-    Fit { hypothesis, residuals, innovation, ..base.clone() }
+    let innovation = fit(
+        &simulator,
+        &hypothesis,
+        &setup.train,
+        &setup.noise,
+        &base.innovation.noise,
+        start,
+        FEW_ITERATIONS,
+    );
+    let windows = windows(setup, &setup.train, &base.innovation.pass);
+    // From where the windows left the base, which may differ from where the innovations did.
+    let mut from = start.to_vec();
+    from[..base.shooting.theta.len()].copy_from_slice(&base.shooting.theta);
+    let shot = fit_windows(setup, &simulator, &hypothesis, &windows, &from, FEW_ITERATIONS);
+    assemble(setup, hypothesis, residuals, innovation, shot)
 }
 
 /// Puts the calibrated parameters where the null model's fit left them.
@@ -271,7 +302,8 @@ pub fn singles(setup: &Setup, null: &Fit, effects: &[EffectAt], done: &(dyn Fn(&
     effects
         .par_iter()
         .map(|at| {
-            let fit = fit_hypothesis(setup, null, library::hypothesis(setup, std::slice::from_ref(at)), Vec::new());
+            let fit =
+                fit_hypothesis(setup, null, library::hypothesis(setup, std::slice::from_ref(at)), Vec::new());
             done(&at.label());
             fit
         })

@@ -89,8 +89,9 @@ impl Setup {
                     .unwrap_or_else(|| noise::model_free(&experiment.output(o).1, experiment.wraps[o]))
             })
             .collect();
-        let output_scale: Vec<f64> =
-            (0..outputs).map(|o| standard_deviation(&noise::unwrapped(&experiment.output(o).1, experiment.wraps[o]))).collect();
+        let output_scale: Vec<f64> = (0..outputs)
+            .map(|o| standard_deviation(&noise::unwrapped(&experiment.output(o).1, experiment.wraps[o])))
+            .collect();
         // A window is described by a few dozen readings. Faster ones would weigh what happens between two samples,
         // such as vibration and quantisation, above what the simulator is asked for.
         let thin = ((horizon / READINGS_PER_WINDOW / period) + 1e-6).floor().max(1.0) as usize;
@@ -101,8 +102,9 @@ impl Setup {
         }
         let (state, std) = guess(&equations, &experiment, &output_scale, period);
         let (train, test) = segments(&experiment, horizon, &state, &std);
-        let scale: Vec<f64> =
-            (0..equations.system().states.len()).map(|i| f64::from(u8::from(!kinematic(&equations, i)))).collect();
+        let scale: Vec<f64> = (0..equations.system().states.len())
+            .map(|i| f64::from(u8::from(!kinematic(&equations, i))))
+            .collect();
         let limits = (0..outputs)
             .map(|o| {
                 let log = 2.0 * output_noise[o].ln();
@@ -124,13 +126,16 @@ impl Setup {
                 std: standard_deviation(&h.values),
             })
             .collect();
-        // Steps end at every change of a command, so they are no longer than its period.
+        // Steps end at every change of a command; half its period is a start that is refined below.
         let step = experiment
             .inputs
             .iter()
-            .map(|h| crate::statistics::median(&mut h.times.windows(2).map(|w| w[1] - w[0]).collect::<Vec<_>>()))
+            .map(|h| {
+                crate::statistics::median(&mut h.times.windows(2).map(|w| w[1] - w[0]).collect::<Vec<_>>())
+            })
             .filter(|p| *p > 0.0)
-            .fold(period, f64::min);
+            .fold(period, f64::min)
+            * 0.5;
         let mut setup = Setup {
             equations,
             experiment,
@@ -221,7 +226,8 @@ impl Setup {
             }
         }
         // In units of these scales the intensities are ratios; the search starts from a hundredth.
-        self.noise.initial = Noise { log_process: (1e-4_f64 * self.period).ln(), log_output: noise.log_output };
+        self.noise.initial =
+            Noise { log_process: (1e-4_f64 * self.period).ln(), log_output: noise.log_output };
         self.joints = (0..joints)
             .map(|j| {
                 let speed = root_mean_square(&speeds[j]).max(1e-12);
@@ -255,7 +261,12 @@ fn derivative_is_state(equations: &Equations, state: usize) -> Option<usize> {
 }
 
 /// Where the states may be at an arbitrary time: at zero or their declared start, within what the outputs suggest.
-fn guess(equations: &Equations, experiment: &Experiment, output_scale: &[f64], period: f64) -> (Vec<f64>, Vec<f64>) {
+fn guess(
+    equations: &Equations,
+    experiment: &Experiment,
+    output_scale: &[f64],
+    period: f64,
+) -> (Vec<f64>, Vec<f64>) {
     let system = equations.system();
     let n = system.states.len();
     let mut state = vec![0.0; n];
@@ -268,8 +279,7 @@ fn guess(equations: &Equations, experiment: &Experiment, output_scale: &[f64], p
             state[i] = mean;
             std[i] = 10.0 * output_scale[output].max(1e-9);
             if let Some(rate) = derivative_is_state(equations, i) {
-                let steps: Vec<f64> =
-                    values.windows(2).map(|w| (w[1] - w[0]) / period.max(1e-9)).collect();
+                let steps: Vec<f64> = values.windows(2).map(|w| (w[1] - w[0]) / period.max(1e-9)).collect();
                 std[rate] = 3.0 * root_mean_square(&steps).max(1e-9);
             }
         }
@@ -290,7 +300,12 @@ fn guess(equations: &Equations, experiment: &Experiment, output_scale: &[f64], p
 }
 
 /// Cuts the log into blocks: of every three, the third is held out.
-fn segments(experiment: &Experiment, horizon: f64, state: &[f64], std: &[f64]) -> (Vec<Segment>, Vec<Segment>) {
+fn segments(
+    experiment: &Experiment,
+    horizon: f64,
+    state: &[f64],
+    std: &[f64],
+) -> (Vec<Segment>, Vec<Segment>) {
     let (from, to) = experiment.span();
     let blocks = (((to - from) / (4.0 * horizon)).floor() as usize).clamp(1, BLOCKS);
     let length = (to - from) / blocks as f64;

@@ -7,7 +7,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::fit::Local;
-use crate::simulator::{Event, Prediction, Run, Transition, wrapped};
+use crate::simulator::{Event, Prediction, Run, Simulator, Transition, wrapped};
 
 /// A window: readings whose stamps lie in `[from, to)`, and the state guessed at its first one.
 #[derive(Clone, Debug)]
@@ -48,47 +48,30 @@ pub struct Residuals {
     pub scores: Vec<Vec<f64>>,
 }
 
-/// The cost of the windows at the run's parameters, initial states eliminated.
+/// The cost of the windows at the parameters θ, initial states eliminated.
 ///
 /// `variance` per output weighs the residuals; each window's state is refined by two Gauss–Newton steps first.
 pub fn shoot(
-    run: &mut dyn Run,
+    simulator: &dyn Simulator,
+    theta: &[f64],
     windows: &mut [Window],
-    states: usize,
-    parameters: usize,
     variance: &[f64],
 ) -> (Local, Residuals) {
-    let (n, p) = (states, parameters);
+    let (n, p) = (simulator.states(), simulator.parameters());
+    let mut run = simulator.run(theta);
+    let mut plain = simulator.run_at(theta);
     let mut total = Local { cost: 0.0, information: vec![0.0; p * p], gradient: vec![0.0; p] };
-    let mut residuals = Residuals { squares: vec![0.0; variance.len()], counts: vec![0; variance.len()], scores: Vec::new() };
+    let mut residuals =
+        Residuals { squares: vec![0.0; variance.len()], counts: vec![0; variance.len()], scores: Vec::new() };
     let mut normal = Normal::new(n, p);
+    // Initial states are settled without the derivatives by θ, which would be most of the work.
+    let mut settling = Normal::new(n, 0);
     for window in windows {
         let Some((first, end)) = locate(run.events(), window.from, window.to) else { continue };
-        normal.march(run, first, end, window, variance, None);
         if n > 0 {
-            let mut best = normal.cost(window);
-            for _ in 0..3 {
-                let Some(step) = normal.state_step(window) else { break };
-                let before = window.state.clone();
-                for (x, d) in window.state.iter_mut().zip(step.iter()) {
-                    *x += d;
-                }
-                normal.march(run, first, end, window, variance, None);
-                let cost = normal.cost(window);
-                if !(cost < best) {
-                    if !(cost <= best + 1e-9 * best.abs()) {
-                        window.state = before;
-                    }
-                    break;
-                }
-                let gain = best - cost;
-                best = cost;
-                if gain < 1e-4 {
-                    break;
-                }
-            }
+            settling.settle(&mut *plain, first, end, window, variance);
         }
-        normal.march(run, first, end, window, variance, Some(&mut residuals));
+        normal.march(&mut *run, first, end, window, variance, Some(&mut residuals));
         let before = total.gradient.clone();
         normal.eliminate(window, &mut total);
         residuals.scores.push(total.gradient.iter().zip(&before).map(|(after, b)| after - b).collect());
@@ -163,7 +146,8 @@ impl Normal {
                 }
                 self.squares += e * e * weight;
                 for j in 0..n {
-                    row[j] = -(0..n).map(|i| self.prediction.by_state[i] * self.by_state[i * n + j]).sum::<f64>();
+                    row[j] =
+                        -(0..n).map(|i| self.prediction.by_state[i] * self.by_state[i * n + j]).sum::<f64>();
                 }
                 for j in 0..p {
                     let through: f64 =
@@ -181,15 +165,17 @@ impl Normal {
                 run.advance(index, &mut x, &mut self.transition);
                 for i in 0..n {
                     for j in 0..n {
-                        self.scratch[i * n + j] =
-                            (0..n).map(|k| self.transition.by_state[i * n + k] * self.by_state[k * n + j]).sum();
+                        self.scratch[i * n + j] = (0..n)
+                            .map(|k| self.transition.by_state[i * n + k] * self.by_state[k * n + j])
+                            .sum();
                     }
                 }
                 self.by_state.copy_from_slice(&self.scratch[..n * n]);
                 for i in 0..n {
                     for j in 0..p {
-                        let through: f64 =
-                            (0..n).map(|k| self.transition.by_state[i * n + k] * self.by_parameter[k * p + j]).sum();
+                        let through: f64 = (0..n)
+                            .map(|k| self.transition.by_state[i * n + k] * self.by_parameter[k * p + j])
+                            .sum();
                         self.scratch[i * p + j] = through + self.transition.by_parameter[i * p + j];
                     }
                 }
@@ -226,6 +212,36 @@ impl Normal {
             g[i] += precision * (window.state[i] - window.guess[i]);
         }
         (a, g)
+    }
+
+    /// Damped Gauss–Newton on the initial state alone, from where the window's state is.
+    fn settle(&mut self, run: &mut dyn Run, first: usize, end: usize, window: &mut Window, variance: &[f64]) {
+        self.march(run, first, end, window, variance, None);
+        let mut cost = self.cost(window);
+        for _ in 0..4 {
+            let Some(step) = self.state_step(window) else { return };
+            let before = window.state.clone();
+            let mut share = 1.0;
+            let gain = loop {
+                for ((x, b), d) in window.state.iter_mut().zip(&before).zip(step.iter()) {
+                    *x = b + share * d;
+                }
+                self.march(run, first, end, window, variance, None);
+                let trial = self.cost(window);
+                if trial < cost {
+                    break cost - trial;
+                }
+                share *= 0.3;
+                if share < 0.02 {
+                    window.state = before;
+                    return;
+                }
+            };
+            cost -= gain;
+            if gain < 1e-3 * cost.max(1e-3) {
+                return;
+            }
+        }
     }
 
     fn state_step(&self, window: &Window) -> Option<DVector<f64>> {

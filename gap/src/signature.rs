@@ -25,7 +25,8 @@ impl Nuisance {
         let innovations = DVector::from_vec(null.innovation.pass.whitened());
         let p = null.hypothesis.fitted.len();
         let rows = null.innovation.pass.readings();
-        let columns = DMatrix::from_row_slice(rows, p, &null.innovation.pass.whitened_by_parameter()[..rows * p]);
+        let columns =
+            DMatrix::from_row_slice(rows, p, &null.innovation.pass.whitened_by_parameter()[..rows * p]);
         Nuisance { basis: orthonormal(&columns), innovations }
     }
 

@@ -32,6 +32,8 @@ pub trait Simulator: Sync {
     fn parameters(&self) -> usize;
     /// Prepares a walk at the parameters θ.
     fn run<'a>(&'a self, theta: &[f64]) -> Box<dyn Run + 'a>;
+    /// Prepares a walk at the parameters θ that gives derivatives by the state alone: its `by_parameter` are empty.
+    fn run_at<'a>(&'a self, theta: &[f64]) -> Box<dyn Run + 'a>;
 }
 
 /// The derivatives of one step between two events, row by row.

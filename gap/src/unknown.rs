@@ -73,7 +73,7 @@ pub struct Choice {
 }
 
 /// Sizes of the weights' prior that are tried.
-const SHARES: [f64; 3] = [0.03, 0.2, 1.0];
+const SHARES: [f64; 4] = [0.003, 0.03, 0.2, 1.0];
 
 /// The kinds of unknown that a system allows.
 #[must_use]
@@ -82,11 +82,11 @@ pub fn kinds(setup: &Setup) -> Vec<Unknown> {
     [Unknown::Force, Unknown::Sensor].into_iter().filter(|u| moving || *u == Unknown::Sensor).collect()
 }
 
-/// The size of the weights at which one linearisation around the null model promises the largest evidence.
+/// The size of the weights at which one linearisation around `base` promises the largest evidence.
 #[must_use]
-pub fn choose(setup: &Setup, null: &Fit, unknown: Unknown) -> Choice {
-    let weights = columns(setup, null, unknown);
-    let innovations = DVector::from_vec(null.innovation.pass.whitened());
+pub fn choose(setup: &Setup, null: &Fit, base: &Fit, unknown: Unknown) -> Choice {
+    let weights = columns(setup, null, base, unknown);
+    let innovations = DVector::from_vec(base.innovation.pass.whitened());
     let information = weights.transpose() * &weights;
     let gradient = weights.transpose() * innovations;
     let sizes: Vec<f64> = residuals(setup, null, unknown)
@@ -138,18 +138,18 @@ pub fn fit_unknown(setup: &Setup, null: &Fit, base: &Fit, choice: Choice) -> Fit
     fit_from(setup, base, hypothesis, residuals, &start)
 }
 
-/// Derivatives of the null model's whitened innovations by the weights of an unknown: its part in the test for a gap.
+/// Derivatives of a fit's whitened innovations by the weights of an unknown, all zero.
 #[must_use]
-pub fn columns(setup: &Setup, null: &Fit, unknown: Unknown) -> DMatrix<f64> {
+pub fn columns(setup: &Setup, null: &Fit, base: &Fit, unknown: Unknown) -> DMatrix<f64> {
     let residuals = residuals(setup, null, unknown);
-    let mut hypothesis = null.hypothesis.clone();
+    let mut hypothesis = base.hypothesis.clone();
     let calibrated = hypothesis.fitted.len();
     let weights: usize = residuals.iter().map(|r| r.features.len()).sum();
     hypothesis.fitted.extend((0..weights).map(|k| weight_of(k, 1.0)));
     let simulator = library::simulator(setup, &hypothesis, residuals);
-    let mut theta = null.theta().to_vec();
+    let mut theta = base.theta().to_vec();
     theta.resize(calibrated + weights, 0.0);
-    let pass = walk(&simulator, &setup.train, &setup.noise, &null.innovation.noise, &theta);
+    let pass = walk(&simulator, &setup.train, &setup.noise, &base.innovation.noise, &theta);
     let all = DMatrix::from_row_slice(pass.readings(), theta.len(), &pass.whitened_by_parameter());
     all.columns(calibrated, weights).into_owned()
 }

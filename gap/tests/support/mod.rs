@@ -51,14 +51,23 @@ pub struct Hidden {
 /// Twenty seconds at 100 Hz: an excitation of several sines with a changing amplitude, one noisy angle.
 pub fn record(hidden: Hidden, seed: u64, duration: f64) -> Experiment {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let (inertia, gain, mass, length, friction, gravity) =
-        (0.0125 * (1.0 + 0.02 * normal(&mut random)), 0.12 * (1.0 + 0.02 * normal(&mut random)), 0.25 + hidden.mass, 0.2, 0.004, 9.81);
+    let (inertia, gain, mass, length, friction, gravity) = (
+        0.0125 * (1.0 + 0.02 * normal(&mut random)),
+        0.12 * (1.0 + 0.02 * normal(&mut random)),
+        0.25 + hidden.mass,
+        0.2,
+        0.004,
+        9.81,
+    );
     let phases: Vec<f64> = (0..6).map(|_| random.random_range(0.0..std::f64::consts::TAU)).collect();
     let command = |t: f64| {
         let frequencies = [0.3, 0.7, 1.3, 2.1, 3.4, 5.2];
         let amplitudes = [1.2, 1.0, 0.9, 0.6, 0.6, 0.6];
         let envelope = 0.55 + 0.45 * (0.25 * t).sin();
-        envelope * (0..6).map(|i| amplitudes[i] * (std::f64::consts::TAU * frequencies[i] * t + phases[i]).sin()).sum::<f64>()
+        envelope
+            * (0..6)
+                .map(|i| amplitudes[i] * (std::f64::consts::TAU * frequencies[i] * t + phases[i]).sin())
+                .sum::<f64>()
     };
     let h = 1e-4;
     let period = 0.01;
@@ -73,7 +82,8 @@ pub fn record(hidden: Hidden, seed: u64, duration: f64) -> Experiment {
             held.times.push(t);
             held.values.push(command(t));
             let noise = 0.0015 * normal(&mut random);
-            let angle = (q + hidden.bias + noise + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI;
+            let angle = (q + hidden.bias + noise + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU)
+                - std::f64::consts::PI;
             samples.push(Sample { stamp: t, output: 0, value: angle });
         }
         let late = t - hidden.input_delay;
