@@ -10,7 +10,7 @@ use crate::experiment::{Experiment, Held, Sample};
 pub enum BindError {
     /// The system's equations are not complete.
     #[error(transparent)]
-    System(#[from] SystemError),
+    System(Box<SystemError>),
     /// An input or output names a signal that the recording lacks.
     #[error("{file}: {kind} `{name}` is bound to a signal that the recording does not have: {source}")]
     Signal {
@@ -21,7 +21,7 @@ pub enum BindError {
         /// The key in the file.
         name: String,
         /// What is missing, and what there is.
-        source: UnknownSignal,
+        source: Box<UnknownSignal>,
     },
     /// An input is bound to a signal that cannot drive it.
     #[error(
@@ -73,6 +73,12 @@ pub enum BindError {
     },
 }
 
+impl From<SystemError> for BindError {
+    fn from(error: SystemError) -> Self {
+        BindError::System(Box::new(error))
+    }
+}
+
 /// Fewest samples of an output from which a gap can be told from noise.
 const FEWEST_SAMPLES: usize = 50;
 
@@ -96,7 +102,7 @@ pub fn bind(system: &System, log: &Log) -> Result<(Equations, Experiment), BindE
             file: file(),
             kind,
             name: name.into(),
-            source,
+            source: Box::new(source),
         })
     };
     let mut experiment = Experiment::default();

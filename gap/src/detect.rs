@@ -56,7 +56,7 @@ fn log_chi_square_tail(x: f64, degrees: usize) -> f64 {
     // The recursion of the upper incomplete gamma function: Q(a + 1, h) = Q(a, h) + h^a e^−h / Γ(a + 1)
     // (Abramowitz & Stegun 6.5.21), from erfc for odd and e^−h for even degrees, in logarithms.
     let h = 0.5 * x;
-    let even = degrees % 2 == 0;
+    let even = degrees.is_multiple_of(2);
     let mut a = if even { 1.0 } else { 0.5 };
     let mut log_q = if even { -h } else { log_erfc(h.sqrt()) };
     // h^a e^−h / Γ(a + 1), with Γ(2) = 1 and Γ(3/2) = √π/2.

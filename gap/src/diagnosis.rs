@@ -187,7 +187,7 @@ fn screen(
         let columns = signature::columns(setup, null, &effect);
         let own = nuisance.project_columns(&columns);
         let (before, after) = (columns.norm(), own.norm());
-        if !(before > 1e-9) {
+        if before.is_nan() || before <= 1e-9 {
             let reason = "it leaves no trace in these readings".to_owned();
             not_testable.push(library::NotTestable { effect, reason });
         } else if after < ABSORBED * before {

@@ -95,7 +95,7 @@ impl Experiment {
         let mut seen = vec![0_usize; self.wraps.len()];
         self.samples.retain(|s| {
             seen[s.output] += 1;
-            (seen[s.output] - 1) % keep.max(1) == 0
+            (seen[s.output] - 1).is_multiple_of(keep.max(1))
         });
     }
 

@@ -171,7 +171,8 @@ impl Setup {
             let changes: Vec<f64> = pairs.map(|(a, b)| (a.3 - b.3) / self.output_noise[a.0]).collect();
             // What a wrong model predicts is no truth to reach: a small share of its error is enough as well.
             let enough = (0.1_f64).max(0.01 * fine.mean_square().sqrt());
-            if !(root_mean_square(&changes) > enough) {
+            let change = root_mean_square(&changes);
+            if change.is_nan() || change <= enough {
                 break;
             }
             step *= 0.5;

@@ -145,8 +145,8 @@ impl Normal {
                     residuals.counts[reading.output] += 1;
                 }
                 self.squares += e * e * weight;
-                for j in 0..n {
-                    row[j] =
+                for (j, entry) in row.iter_mut().take(n).enumerate() {
+                    *entry =
                         -(0..n).map(|i| self.prediction.by_state[i] * self.by_state[i * n + j]).sum::<f64>();
                 }
                 for j in 0..p {
