@@ -119,6 +119,7 @@ pub fn bind(system: &System, log: &Log) -> Result<(Equations, Experiment), BindE
         let mut held = Held { times: Vec::new(), values: signal.values.clone() };
         held.times.extend(signal.times.iter().map(|t| seconds(*t)));
         experiment.inputs.push(held);
+        experiment.input_units.push(signal.unit.clone());
     }
     for (index, output) in system.outputs.iter().enumerate() {
         let signal = find("output", &output.name, &output.signal)?;

@@ -285,7 +285,7 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
         calibrated: corrected_values(setup, shown),
         effects: corrected_effects(setup, shown),
     };
-    diagnosis.report.summary = crate::sentence::summary(&diagnosis.report);
+    diagnosis.report.summary = crate::report::sentence::summary(&diagnosis.report);
     diagnosis
 }
 

@@ -25,6 +25,8 @@ pub struct Sample {
 pub struct Experiment {
     /// One per input of the system.
     pub inputs: Vec<Held>,
+    /// Unit of each input, a label; empty where the log states none.
+    pub input_units: Vec<String>,
     /// All readings in the order of their stamps, then of their outputs.
     pub samples: Vec<Sample>,
     /// Per output: the period of an angle, if it wraps.

@@ -15,7 +15,6 @@ pub mod posterior;
 pub mod quantify;
 pub mod report;
 pub mod search;
-pub mod sentence;
 pub mod setup;
 pub mod shooting;
 pub mod signature;

@@ -202,10 +202,30 @@ fn effect_parameter(
         }
         Quantity::Parameter => {}
     }
-    if kind == PlaceKind::Joint {
-        fitted.unit = if quantity == Quantity::ForcePerSpeed { "force/speed".into() } else { "force".into() };
+    match kind {
+        PlaceKind::Joint => {
+            let [force, per_speed] = joint_units(setup, index);
+            fitted.unit = if quantity == Quantity::ForcePerSpeed { per_speed } else { force }.into();
+        }
+        PlaceKind::Input if quantity != Quantity::Time => {
+            fitted.unit = setup.experiment.input_units.get(index).cloned().unwrap_or_default();
+        }
+        _ => {}
     }
     fitted
+}
+
+/// Units of a joint's force and of force per speed, from the unit in which its position is read; units are labels, so
+/// where no output reads the position there is none.
+fn joint_units(setup: &Setup, joint: usize) -> [&'static str; 2] {
+    let system = setup.equations.system();
+    let position = system.joints[joint].position.text().trim();
+    let unit = system.outputs.iter().find(|o| o.value.text().trim() == position).map(|o| o.unit.as_str());
+    match unit {
+        Some("rad") => ["N m", "N m s/rad"],
+        Some("m") => ["N", "N s/m"],
+        _ => ["", ""],
+    }
 }
 
 /// Index of a place among the system's inputs, outputs, joints, states or parameters.

@@ -137,5 +137,16 @@ pub fn overlay(setup: &Setup, output: usize, before: &Row, after: &Row) -> Overl
         overlay.before.push(*predicted);
         overlay.after.push(*with);
     }
+    // Predictions are within half a turn of the readings they belong to; followed across its wraps, the angle of a
+    // stretch is one line.
+    if setup.experiment.wraps[output].is_some() {
+        let followed = crate::noise::unwrapped(&overlay.measured, setup.experiment.wraps[output]);
+        for (k, value) in followed.into_iter().enumerate() {
+            let turn = value - overlay.measured[k];
+            overlay.measured[k] += turn;
+            overlay.before[k] += turn;
+            overlay.after[k] += turn;
+        }
+    }
     overlay
 }

@@ -8,6 +8,7 @@ mod format;
 pub mod html;
 mod overlay;
 mod readings;
+pub mod sentence;
 pub mod svg;
 pub mod text;
 

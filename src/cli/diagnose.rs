@@ -5,8 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow};
 use clap::Args;
 use parallax_gap::diagnosis::{Diagnosis, Options, diagnose};
-use parallax_gap::report::{Report, html};
-use parallax_gap::sentence::with_uncertainty;
+use parallax_gap::report::{Report, html, text};
 use parallax_model::system::System;
 use parallax_runtime::import::{self, read_system_text};
 use parallax_runtime::recording::Recording;
@@ -151,71 +150,5 @@ fn nearby(path: &Path) -> String {
 
 /// The short answer.
 pub(crate) fn print(report: &Report) {
-    output::line(&report.summary);
-    output::line("");
-    let rows: Vec<Vec<String>> = report
-        .which
-        .iter()
-        .take(5)
-        .map(|which| {
-            let effects: Vec<String> =
-                which.effects.iter().map(|e| format!("{}@{}", e.name, e.place)).collect();
-            let values: Vec<String> = which
-                .effects
-                .iter()
-                .flat_map(|e| &e.parameters)
-                .map(|(name, value)| format!("{name} {}", with_uncertainty(value)))
-                .collect();
-            let others = which.class.iter().filter(|name| !effects.contains(name));
-            vec![
-                percent(which.probability),
-                if effects.is_empty() { "no gap".into() } else { effects.join(" + ") },
-                values.join(", "),
-                others.cloned().collect::<Vec<_>>().join(", "),
-            ]
-        })
-        .chain([vec![
-            percent(report.unexplained.probability),
-            "none of these".into(),
-            String::new(),
-            String::new(),
-        ]])
-        .collect();
-    output::table(&["probability", "cause", "", "cannot be told from"], &rows);
-    let rows: Vec<Vec<String>> = report
-        .calibration
-        .iter()
-        .map(|c| {
-            let value = parallax_gap::report::Value { value: c.value, std: c.std, unit: c.unit.clone() };
-            vec![c.name.clone(), c.nominal.to_string(), with_uncertainty(&value)]
-        })
-        .collect();
-    if !rows.is_empty() {
-        output::line("");
-        output::table(&["calibrated", "nominal", "fitted"], &rows);
-    }
-    let far = &report.how_far;
-    output::line("");
-    output::line(format!(
-        "prediction {} ahead on held-out time, in units of the noise: nominal {:.3}, refitted {:.3}, with the cause {:.3}, \
-         black box {:.3}",
-        output::seconds(far.horizon_s),
-        far.nominal,
-        far.refitted,
-        far.with_effect,
-        far.black_box
-    ));
-    output::line(format!(
-        "closed: {} % of the whole gap, {} % of what calibration leaves",
-        interval(&far.closed_total),
-        interval(&far.closed_by_effect)
-    ));
-}
-
-fn percent(share: f64) -> String {
-    format!("{:.1} %", 100.0 * share)
-}
-
-fn interval(interval: &parallax_gap::report::Interval) -> String {
-    format!("{:.1} ({:.1} to {:.1})", 100.0 * interval.value, 100.0 * interval.low, 100.0 * interval.high)
+    output::line(text::summary(report).trim_end());
 }

@@ -114,7 +114,7 @@ pub fn record(hidden: Hidden, seed: u64, duration: f64) -> Experiment {
         w = if free.abs() <= most { 0.0 } else { free - most * free.signum() };
         q += h * w;
     }
-    Experiment { inputs: vec![held], samples, wraps: vec![Some(std::f64::consts::TAU)] }
+    Experiment { inputs: vec![held], input_units: vec!["V".into()], samples, wraps: vec![Some(std::f64::consts::TAU)] }
 }
 
 fn normal(random: &mut ChaCha8Rng) -> f64 {
