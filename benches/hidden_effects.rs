@@ -24,7 +24,8 @@ fn main() {
         let text = recording.graph.plant.clone().expect("the demo attaches its plant").system;
         let system = System::parse(&text, "attached").expect("the attached system is valid");
         let start = Instant::now();
-        let found = diagnose(&system, &recording.log(), &Options::default(), &|_, _| ()).expect("it can be diagnosed");
+        let found = diagnose(&system, &recording.log(), &Options::default(), &|_, _| ())
+            .expect("it can be diagnosed");
         let seconds = start.elapsed().as_secs_f64();
         let report = &found.report;
         let leader = report.which.first().filter(|_| report.gap.detected);

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow};
 use clap::Args;
 use parallax_gap::diagnosis::{Diagnosis, Options, diagnose};
-use parallax_gap::report::{Report, html, text};
+use parallax_gap::report::{Report, html, svg, text};
 use parallax_model::system::System;
 use parallax_runtime::import::{self, read_system_text};
 use parallax_runtime::recording::Recording;
@@ -22,7 +22,7 @@ pub(crate) struct Arguments {
     /// What the simulator believes: a system.toml, in place of the one attached to the recording.
     #[arg(long, value_name = "FILE")]
     system: Option<PathBuf>,
-    /// The folder for report.json, report.html and system.corrected.toml.
+    /// The folder for report.json, report.html, report.svg and system.corrected.toml.
     #[arg(long, value_name = "DIR", default_value = "out/diagnosis")]
     out: PathBuf,
     /// How far ahead predictions are scored; by default a quarter of a second, or ten samples if that is longer.
@@ -99,7 +99,7 @@ impl Loaded {
         Ok(Self { log, text, system })
     }
 
-    /// Diagnoses, and leaves report.json, report.html and system.corrected.toml in `out`.
+    /// Diagnoses, and leaves report.json, report.html, report.svg and system.corrected.toml in `out`.
     pub(crate) fn diagnose(&self, options: &Options, out: &Path) -> Result<Report, Failure> {
         std::fs::create_dir_all(out)
             .with_context(|| format!("the folder {} cannot be made", out.display()))
@@ -134,6 +134,7 @@ impl Loaded {
         }
         save("report.json", &serde_json::to_string_pretty(&report).map_err(Failure::runtime)?)?;
         save("report.html", &html::page(&report, &overlays))?;
+        save("report.svg", &svg::figure(&report, &overlays))?;
         Ok(report)
     }
 }
