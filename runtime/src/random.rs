@@ -3,7 +3,7 @@
 //! Streams do not share state, so adding a node or drawing more often in one place changes no number anywhere else.
 
 use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::SeedableRng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
 
 /// What a stream is for. Two purposes never share numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -14,6 +14,13 @@ pub enum Purpose {
     Communication,
     /// What a node draws in its own steps.
     Node,
+    /// The seed of something else.
+    Seed,
+}
+
+/// A seed for something of its own, from which `seed` cannot be told.
+pub fn derived(seed: u64, name: &str) -> u64 {
+    stream(seed, Purpose::Seed, name).next_u64()
 }
 
 /// The stream for `purpose` of the node or connection called `name`. The same arguments give the same numbers, on every
@@ -23,6 +30,7 @@ pub fn stream(seed: u64, purpose: Purpose, name: &str) -> ChaCha8Rng {
         Purpose::Computation => 1u64,
         Purpose::Communication => 2,
         Purpose::Node => 3,
+        Purpose::Seed => 4,
     };
     let mut key = [0u8; 32];
     key[..8].copy_from_slice(&seed.to_le_bytes());

@@ -8,7 +8,9 @@ use parallax_gap::diagnosis::Options;
 use parallax_gap::report::Report;
 use parallax_nodes::pendulum::{self, hidden};
 use parallax_runtime::launch::{self, RunOptions};
+use parallax_runtime::random::derived;
 use parallax_runtime::recording::Recording;
+use parallax_runtime::registry::Registry;
 use parallax_runtime::time::{Nanos, to_seconds};
 use parallax_sim::{ReplayOptions, replay};
 use serde_json::json;
@@ -55,7 +57,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     let secret = [(hidden::SEED_VARIABLE.to_owned(), seed.to_string())];
     let options = RunOptions {
         duration: Some(arguments.duration),
-        seed,
+        // The recording states the seed of the run, and must not tell the one that drew the flaw.
+        seed: derived(seed, "run"),
         recording: Some(path.clone()),
         // Only the world's process is told: neither the recording nor the diagnosis can know.
         private: [("world".to_owned(), secret.into())].into(),
@@ -92,19 +95,36 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         output::line("");
     }
 
-    let truth = hidden::HiddenEffect::draw(seed).truth();
+    let effect = hidden::HiddenEffect::draw(seed);
+    let world_exact = world_repeats(&recording, effect)?;
+    let truth = effect.truth();
     let truth_name = truth.as_ref().map(|truth| format!("{}@{}", truth.effect, truth.place));
     let right = is_right(&found, truth_name.as_deref());
     let truth = truth.map_or_else(|| "nothing".to_owned(), |truth| truth.to_string());
     say(format!("4. Hidden was {truth}: the diagnosis is {}.", if right { "right" } else { "wrong" }));
+    say(format!(
+        "   The world, run again with what it hid, gives {}.",
+        if world_exact { "the same bits" } else { "other readings than it gave" }
+    ));
     say(format!("   The report is {}", arguments.out.join("report.html").display()));
     if arguments.json {
         output::json(&json!({
-            "seed": seed, "steps": steps, "replay_exact": replayed.is_exact(),
+            "seed": seed, "steps": steps, "replay_exact": replayed.is_exact(), "world_exact": world_exact,
             "hidden": truth_name, "hidden_in_words": truth, "right": right, "report": found,
         }))?;
     }
-    Ok(if replayed.is_exact() { Outcome::Done } else { Outcome::Negative })
+    Ok(if replayed.is_exact() && world_exact { Outcome::Done } else { Outcome::Negative })
+}
+
+/// Runs the world again, which a replay otherwise takes for hardware, with the effect that it hid.
+fn world_repeats(recording: &Recording, effect: hidden::HiddenEffect) -> Result<bool, Failure> {
+    let kinds = pendulum::kinds(Registry::new(), effect);
+    let options = ReplayOptions {
+        overrides: Some(Box::new(move |context| {
+            (context.name == "world").then(|| kinds.get("pendulum/world").map(|kind| kind.build(context))).flatten()
+        })),
+    };
+    Ok(replay(recording, &parallax_nodes::registry(), &options).runtime()?.is_exact())
 }
 
 /// Whether the leading answer names the flaw, or a class that holds it.
