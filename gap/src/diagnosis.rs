@@ -8,6 +8,7 @@ use parallax_runtime::recording::log::Log;
 
 use crate::bind::{BindError, bind};
 use crate::detect;
+use crate::equations::MOST_VARIABLES;
 use crate::experiment::Experiment;
 use crate::hypothesis::{EffectAt, Slot};
 use crate::innovation::walk;
@@ -66,6 +67,20 @@ pub enum DiagnosisError {
         /// What is needed (s).
         needed: f64,
     },
+    /// More than the fits are made for.
+    #[error(
+        "{file}: {states} states and {calibrated} calibrated parameters are more than the {most} that one diagnosis fits; hold some parameters, or diagnose the machine joint by joint"
+    )]
+    TooMany {
+        /// The system's file.
+        file: String,
+        /// States of the system.
+        states: usize,
+        /// Parameters with `calibrate`.
+        calibrated: usize,
+        /// Most of both together.
+        most: usize,
+    },
     /// The nominal model cannot be run along the log.
     #[error(
         "{file}: the nominal system gives numbers that are not finite along recording `{title}`; check its equations and initial values against the log's range"
@@ -121,6 +136,14 @@ pub fn diagnose_experiment(
     options: &Options,
     progress: &(dyn Fn(f64, &str) + Sync),
 ) -> Result<Diagnosis, DiagnosisError> {
+    let system = equations.system();
+    let (states, calibrated) =
+        (system.states.len(), system.parameters.iter().filter(|p| p.calibrate.is_some()).count());
+    // An effect and a small residual must fit beside them.
+    let most = MOST_VARIABLES / 2;
+    if states + calibrated > most {
+        return Err(DiagnosisError::TooMany { file: system.file.clone(), states, calibrated, most });
+    }
     let setup = Setup::new(equations, experiment, options.horizon);
     let (from, to) = setup.experiment.span();
     if setup.train.is_empty() || setup.test.is_empty() {

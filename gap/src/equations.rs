@@ -13,6 +13,9 @@ use crate::experiment::Experiment;
 use crate::hypothesis::Slot;
 use crate::simulator::{Event, Prediction, Reading, Run, Simulator, Transition};
 
+/// Most states and fitted parameters together.
+pub const MOST_VARIABLES: usize = 128;
+
 /// A plant bound to a recording, with the slots that θ fills.
 #[derive(Clone, Debug)]
 pub struct EquationsSimulator<'a> {
@@ -58,15 +61,13 @@ impl EquationsSimulator<'_> {
     fn walk<'a>(&'a self, theta: &[f64], variables: usize) -> Box<dyn Run + 'a> {
         // The gradient has a fixed length; the next larger one is taken.
         match self.states() + variables {
-            0..=2 => Box::new(EquationsRun::<2>::new(self, theta, variables)),
-            3..=4 => Box::new(EquationsRun::<4>::new(self, theta, variables)),
+            0..=4 => Box::new(EquationsRun::<4>::new(self, theta, variables)),
             5..=8 => Box::new(EquationsRun::<8>::new(self, theta, variables)),
-            9..=12 => Box::new(EquationsRun::<12>::new(self, theta, variables)),
-            13..=16 => Box::new(EquationsRun::<16>::new(self, theta, variables)),
-            17..=24 => Box::new(EquationsRun::<24>::new(self, theta, variables)),
-            25..=40 => Box::new(EquationsRun::<40>::new(self, theta, variables)),
+            9..=16 => Box::new(EquationsRun::<16>::new(self, theta, variables)),
+            17..=40 => Box::new(EquationsRun::<40>::new(self, theta, variables)),
             41..=64 => Box::new(EquationsRun::<64>::new(self, theta, variables)),
-            _ => Box::new(EquationsRun::<128>::new(self, theta, variables)),
+            // [`MOST_VARIABLES`] is checked before any simulator is made.
+            _ => Box::new(EquationsRun::<MOST_VARIABLES>::new(self, theta, variables)),
         }
     }
 }

@@ -6,6 +6,7 @@
 use nalgebra::{DMatrix, DVector};
 use parallax_model::plant::{Feature, Residual, Target, Variable};
 
+use crate::equations::MOST_VARIABLES;
 use crate::hypothesis::{Fitted, Prior, Slot};
 use crate::innovation::walk;
 use crate::library;
@@ -22,7 +23,7 @@ pub enum Unknown {
     Sensor,
 }
 
-/// Bumps over a range.
+/// Most bumps over a range; twice as many over time.
 const BUMPS: usize = 7;
 
 /// The residuals of one kind, over the ranges that the null fit visited.
@@ -34,11 +35,17 @@ pub fn residuals(setup: &Setup, null: &Fit, unknown: Unknown) -> Vec<Residual> {
         }
         Unknown::Sensor => (0..setup.experiment.wraps.len()).map(Target::Output).collect(),
     };
-    let features = features(setup, null, unknown);
+    // The richest residual that still fits beside the states, the calibrated parameters and an effect.
+    let room = MOST_VARIABLES.saturating_sub(setup.noise.scale.len() + null.hypothesis.fitted.len() + 8);
+    let features = (2..=BUMPS)
+        .rev()
+        .map(|bumps| features(setup, null, unknown, bumps))
+        .find(|features| features.len() * targets.len() <= room)
+        .unwrap_or_default();
     targets.into_iter().map(|target| Residual { target, features: features.clone() }).collect()
 }
 
-fn features(setup: &Setup, null: &Fit, unknown: Unknown) -> Vec<Feature> {
+fn features(setup: &Setup, null: &Fit, unknown: Unknown, count: usize) -> Vec<Feature> {
     let n = setup.equations.system().states.len();
     let pass = &null.innovation.pass;
     let mut features = Vec::new();
@@ -51,15 +58,15 @@ fn features(setup: &Setup, null: &Fit, unknown: Unknown) -> Vec<Feature> {
     for state in 0..n {
         let mut values: Vec<f64> = pass.state.iter().skip(state).step_by(n).copied().collect();
         let (low, high) = (quantile(&mut values, 0.01), quantile(&mut values, 0.99));
-        bumps(Variable::State(state), low, high, BUMPS);
+        bumps(Variable::State(state), low, high, count);
     }
     if unknown == Unknown::Force {
         for (input, range) in setup.input_range.iter().enumerate() {
-            bumps(Variable::Input(input), range.low, range.high, BUMPS);
+            bumps(Variable::Input(input), range.low, range.high, count);
         }
     }
     let (from, to) = setup.experiment.span();
-    bumps(Variable::Time, from, to, 2 * BUMPS);
+    bumps(Variable::Time, from, to, 2 * count);
     features
 }
 
