@@ -8,6 +8,22 @@
 //! - [`sim`]: graphs under a simulated clock, and replay.
 //! - [`nodes`]: ready-made models and nodes.
 //! - [`gap`]: the diagnosis.
+//!
+//! ```
+//! use parallax::nodes::{pendulum, registry};
+//! use parallax::sim::{Executor, ReplayOptions, replay};
+//!
+//! // One simulated second of a swing-up, recorded in memory, and every node run again on what it consumed.
+//! let graph = pendulum::graph().validate(&registry())?;
+//! let recording = Executor::new(graph, 7).record(1_000_000_000)?;
+//! let report = replay(&recording, &registry(), &ReplayOptions::default())?;
+//! assert!(report.is_exact());
+//!
+//! // The same run as named signals, as the diagnosis reads it.
+//! let angle = recording.log().signal("camera.angle")?.values.clone();
+//! assert_eq!(angle.len(), 100);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 pub use parallax_gap as gap;
 pub use parallax_model as model;
