@@ -86,7 +86,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let recording = Recording::read(&path)?;
     std::fs::remove_file(&path)?;
     let replayed = replay(&recording, &registry, &ReplayOptions::default())?;
-    println!("2 s as processes: {} steps, replayed with the same bits: {}", replayed.steps(), replayed.is_exact());
+    println!(
+        "2 s as processes: {} steps, replayed with the same bits: {}",
+        replayed.steps(),
+        replayed.is_exact()
+    );
 
     let simulated = Executor::new(graph, 1).record(2_000_000_000)?;
     let steps: usize = simulated.nodes.iter().map(|node| node.steps.len()).sum();

@@ -55,7 +55,7 @@ pub enum DiagnosisError {
     },
     /// The log is too short for the windows.
     #[error(
-        "recording `{title}` spans {span} s; windows of {horizon} s need at least {needed} s. Record longer, or shorten the horizon"
+        "recording `{title}` spans {span:.3} s; windows of {horizon:.3} s need at least {needed:.3} s. Record longer, or shorten the horizon"
     )]
     Short {
         /// The recording.
@@ -277,7 +277,7 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
     let left = (with_effect.mean_square() - black_box.mean_square()).max(0.0);
     let unexplained = Unexplained {
         probability: answers.unexplained,
-        share: if detected { (left / gap_square).min(1.0) } else { 0.0 },
+        share: if detected && left.is_finite() { (left / gap_square).min(1.0) } else { 0.0 },
     };
     let overlays = (0..setup.experiment.wraps.len())
         .map(|o| quantify::overlay(setup, o, &refitted, &with_effect))

@@ -72,6 +72,13 @@ impl Held {
             out.times.push(from);
             out.values.push(sum / grid);
         }
+        // What is left is shorter than an interval, and the last command holds from there on.
+        let rest =
+            self.times.partition_point(|t| *t <= first + out.times.len() as f64 * grid).saturating_sub(1);
+        out.times.push(first + out.times.len() as f64 * grid);
+        out.values.push(self.values[rest]);
+        out.times.extend(&self.times[rest + 1..]);
+        out.values.extend(&self.values[rest + 1..]);
         out
     }
 }

@@ -3,7 +3,7 @@
 use crate::filter::{Noise, Pass, Start, filter};
 use crate::fit::{Local, Minimum, minimise};
 use crate::hypothesis::Hypothesis;
-use crate::shooting::locate;
+use crate::shooting::{lateness, locate};
 use crate::simulator::Simulator;
 
 /// A stretch of a recording, and the state guessed at its start.
@@ -54,10 +54,11 @@ pub fn walk(
     theta: &[f64],
 ) -> Pass {
     let mut run = simulator.run(theta);
+    let late = lateness(run.events());
     let starts: Vec<Start> = segments
         .iter()
         .filter_map(|s| {
-            let (first, end) = locate(run.events(), s.from, s.to)?;
+            let (first, end) = locate(run.events(), late, s.from, s.to)?;
             Some(Start { first, end, state: s.state.clone(), std: s.std.clone() })
         })
         .collect();

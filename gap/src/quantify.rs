@@ -64,8 +64,8 @@ pub fn predict(setup: &Setup, simulator: &dyn Simulator, theta: &[f64], noise: &
                 run.advance(index, &mut x, &mut transition);
                 index += 1;
                 let Some(reading) = run.events()[index].reading else {
-                    // A late reading may come after events that are past the end.
-                    if run.events()[index].time > end + 2.0 * setup.horizon {
+                    // A reading is taken at its stamp or earlier: past the end there is none left.
+                    if run.events()[index].time > end {
                         break;
                     }
                     continue;
@@ -90,6 +90,9 @@ pub fn predict(setup: &Setup, simulator: &dyn Simulator, theta: &[f64], noise: &
     row
 }
 
+/// The lowest share that is stated: beyond it the numbers say nothing more.
+const WORST_SHARE: f64 = -10.0;
+
 /// 1 − (MSE after − floor)/(MSE before − floor), with a bootstrap interval over the starts.
 ///
 /// The floor is one noise unit squared. Where there was no gap to close the share is zero.
@@ -97,7 +100,14 @@ pub fn predict(setup: &Setup, simulator: &dyn Simulator, theta: &[f64], noise: &
 pub fn closed(before: &Row, after: &Row, seed: u64) -> Interval {
     let share = |b: f64, a: f64| {
         let gap = b - 1.0;
-        if gap > 1e-9 { (1.0 - (a - 1.0).max(0.0) / gap).clamp(-10.0, 1.0) } else { 0.0 }
+        if a.is_nan() || b.is_nan() {
+            // A prediction that fails closes nothing.
+            WORST_SHARE
+        } else if gap > 1e-9 {
+            (1.0 - (a - 1.0).max(0.0) / gap).clamp(WORST_SHARE, 1.0)
+        } else {
+            0.0
+        }
     };
     let blocks = before.blocks.len().min(after.blocks.len());
     let value = share(before.mean_square(), after.mean_square());

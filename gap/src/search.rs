@@ -121,16 +121,24 @@ impl Shot {
     }
 }
 
+/// Readings of each output after which a filter's state is a guess to start a window from.
+const SETTLING_READINGS: usize = 8;
+
 /// Windows over the training segments, their states guessed by a filter's walk.
 #[must_use]
 pub fn windows(setup: &Setup, segments: &[Segment], walked: &Pass) -> Vec<Window> {
     let n = setup.equations.system().states.len();
     let mut windows = Vec::new();
     for segment in segments {
-        let count = ((segment.to - segment.from) / setup.horizon).floor().max(1.0);
-        let length = (segment.to - segment.from) / count;
+        // The filter must have seen a few readings of each output, or it knows no speed. A wrong guess could not be
+        // mended: where dry friction holds a joint, predictions do not depend on its speed.
+        let settled = SETTLING_READINGS * setup.experiment.wraps.len();
+        let inside = walked.stamp.iter().filter(|s| **s >= segment.from && **s < segment.to);
+        let Some(begin) = inside.copied().nth(settled) else { continue };
+        let count = ((segment.to - begin) / setup.horizon).floor().max(1.0);
+        let length = (segment.to - begin) / count;
         for k in 0..count as usize {
-            let from = segment.from + k as f64 * length;
+            let from = begin + k as f64 * length;
             let to = from + length;
             // The filter's state at the window's first reading; it has seen all earlier ones.
             let Some(reading) = walked.stamp.iter().position(|s| *s >= from && *s < to) else { continue };
@@ -236,24 +244,23 @@ pub fn fit_hypothesis(setup: &Setup, null: &Fit, hypothesis: Hypothesis, residua
             best = Some(shot);
         }
     }
-    let Some(shot) = best else { return null.clone() };
-    let mut innovation = fit(
-        &simulator,
-        &hypothesis,
-        &setup.train,
-        &setup.noise,
-        &null.innovation.noise,
-        &shot.minimum.theta,
-        ITERATIONS,
-    );
+    let Some(mut shot) = best else { return null.clone() };
+    let refine = |start: &[f64]| {
+        fit(&simulator, &hypothesis, &setup.train, &setup.noise, &null.innovation.noise, start, ITERATIONS)
+    };
+    let mut innovation = refine(&shot.minimum.theta);
     // The two losses can end in different minima; the effect's null is always a candidate.
-    let mut start: Vec<f64> =
-        hypothesis.fitted.iter().map(|f| f.starts.first().copied().unwrap_or(f.null)).collect();
-    continue_from(null, &hypothesis, &mut start);
-    let other =
-        fit(&simulator, &hypothesis, &setup.train, &setup.noise, &null.innovation.noise, &start, ITERATIONS);
-    if other.evidence_cost < innovation.evidence_cost {
-        innovation = other;
+    if let Some(start) = starts.first() {
+        let other = refine(start);
+        if other.evidence_cost < innovation.evidence_cost {
+            innovation = other;
+        }
+    }
+    // Each loss starts from the other's answer as well, with the states that its own filter found.
+    let own = self::windows(setup, &setup.train, &innovation.pass);
+    let again = fit_windows(setup, &simulator, &hypothesis, &own, &innovation.minimum.theta, ITERATIONS);
+    if again.cost < shot.cost {
+        shot = again;
     }
     assemble(setup, hypothesis, residuals, innovation, shot)
 }

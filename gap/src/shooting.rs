@@ -24,16 +24,21 @@ pub struct Window {
     pub guess: Vec<f64>,
 }
 
-/// The events of a window: from its first reading to its last.
+/// How much earlier than its stamp a reading is taken at most: the largest delay of a reading (s).
 #[must_use]
-pub fn locate(events: &[Event], from: f64, to: f64) -> Option<(usize, usize)> {
+pub fn lateness(events: &[Event]) -> f64 {
+    events.iter().filter_map(|e| Some(e.reading?.stamp - e.time)).fold(0.0, f64::max)
+}
+
+/// The events of a window: from its first reading to its last. `lateness` as [`lateness`] gives it.
+#[must_use]
+pub fn locate(events: &[Event], lateness: f64, from: f64, to: f64) -> Option<(usize, usize)> {
     let inside = |e: &Event| e.reading.is_some_and(|r| r.stamp >= from && r.stamp < to);
-    // Delays are far shorter than a log: the events of a window lie around its stamps, and a search from the first
-    // event that may belong to it is enough.
-    let begin = events.partition_point(|e| e.time < from - 2.0);
+    // Events are in the order of time, which is the stamp or earlier.
+    let begin = events.partition_point(|e| e.time < from - lateness - 1e-9);
     let first = begin + events[begin..].iter().position(inside)?;
-    let stop = events.partition_point(|e| e.time < to + 2.0);
-    let last = first + events[first..stop].iter().rposition(inside)?;
+    let stop = events.partition_point(|e| e.time < to);
+    let last = first + events[first..stop.max(first)].iter().rposition(inside)?;
     Some((first, last + 1))
 }
 
@@ -66,8 +71,9 @@ pub fn shoot(
     let mut normal = Normal::new(n, p);
     // Initial states are settled without the derivatives by θ, which would be most of the work.
     let mut settling = Normal::new(n, 0);
+    let late = lateness(run.events());
     for window in windows {
-        let Some((first, end)) = locate(run.events(), window.from, window.to) else { continue };
+        let Some((first, end)) = locate(run.events(), late, window.from, window.to) else { continue };
         if n > 0 {
             settling.settle(&mut *plain, first, end, window, variance);
         }
@@ -218,6 +224,16 @@ impl Normal {
     fn settle(&mut self, run: &mut dyn Run, first: usize, end: usize, window: &mut Window, variance: &[f64]) {
         self.march(run, first, end, window, variance, None);
         let mut cost = self.cost(window);
+        // At other parameters the state found before may lie beyond a stop or a turn: the guess never does.
+        let found = std::mem::replace(&mut window.state, window.guess.clone());
+        self.march(run, first, end, window, variance, None);
+        let guessed = self.cost(window);
+        if guessed < cost {
+            cost = guessed;
+        } else {
+            window.state = found;
+            self.march(run, first, end, window, variance, None);
+        }
         for _ in 0..4 {
             let Some(step) = self.state_step(window) else { return };
             let before = window.state.clone();

@@ -73,7 +73,7 @@ pub enum ReplayError {
     },
     /// Steps are not recorded in order, from 0, without holes.
     #[error(
-        "node `{node}`: step {found} is recorded where step {expected} belongs; the recording is damaged"
+        "node `{node}`: step {found} is recorded where step {expected} belongs: the recorder could not keep up and lost the steps between, or the file is damaged; record again on a machine with less load"
     )]
     StepOrder {
         /// The node.

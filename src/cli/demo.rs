@@ -121,7 +121,9 @@ fn world_repeats(recording: &Recording, effect: hidden::HiddenEffect) -> Result<
     let kinds = pendulum::kinds(Registry::new(), effect);
     let options = ReplayOptions {
         overrides: Some(Box::new(move |context| {
-            (context.name == "world").then(|| kinds.get("pendulum/world").map(|kind| kind.build(context))).flatten()
+            (context.name == "world")
+                .then(|| kinds.get("pendulum/world").map(|kind| kind.build(context)))
+                .flatten()
         })),
     };
     Ok(replay(recording, &parallax_nodes::registry(), &options).runtime()?.is_exact())

@@ -191,7 +191,7 @@ mod tests {
         let stamp: Vec<f64> = block(0.0).chain(block(10.0)).chain(block(5.0)).collect();
         assert_eq!(pieces(&stamp), [0..20, 20..40, 40..60]);
         assert_eq!(pieces(&[]), Vec::<Range<usize>>::new());
-        assert_eq!(pieces(&[1.0]), [0..1]);
+        assert_eq!(pieces(&[1.0]), std::slice::from_ref(&(0..1)));
     }
 
     #[test]

@@ -5,7 +5,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 /// The nominal belief about the pendulum: hanging down at zero.
-pub const SYSTEM: &str = r#"
+pub(crate) const SYSTEM: &str = r#"
 format = 1
 name = "pendulum"
 
@@ -33,23 +33,23 @@ shaft = { position = "q", velocity = "w", inertia = "J", drive = "k*u", load = "
 
 /// What is hidden in the world. Null values everywhere: nothing.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Hidden {
-    pub input_delay: f64,
-    pub lag: f64,
-    pub offset: f64,
-    pub limit: Option<f64>,
-    pub deadband: f64,
-    pub viscous: f64,
-    pub forward: f64,
-    pub backward: f64,
-    pub bias: f64,
-    pub mass: f64,
+pub(crate) struct Hidden {
+    pub(crate) input_delay: f64,
+    pub(crate) lag: f64,
+    pub(crate) offset: f64,
+    pub(crate) limit: Option<f64>,
+    pub(crate) deadband: f64,
+    pub(crate) viscous: f64,
+    pub(crate) forward: f64,
+    pub(crate) backward: f64,
+    pub(crate) bias: f64,
+    pub(crate) mass: f64,
     /// A one-sided wall: stiffness beyond 0.8 rad. No named effect describes it.
-    pub wall: f64,
+    pub(crate) wall: f64,
 }
 
 /// Twenty seconds at 100 Hz: an excitation of several sines with a changing amplitude, one noisy angle.
-pub fn record(hidden: Hidden, seed: u64, duration: f64) -> Experiment {
+pub(crate) fn record(hidden: Hidden, seed: u64, duration: f64) -> Experiment {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let (inertia, gain, mass, length, friction, gravity) = (
         0.0125 * (1.0 + 0.02 * normal(&mut random)),
@@ -114,7 +114,12 @@ pub fn record(hidden: Hidden, seed: u64, duration: f64) -> Experiment {
         w = if free.abs() <= most { 0.0 } else { free - most * free.signum() };
         q += h * w;
     }
-    Experiment { inputs: vec![held], input_units: vec!["V".into()], samples, wraps: vec![Some(std::f64::consts::TAU)] }
+    Experiment {
+        inputs: vec![held],
+        input_units: vec!["V".into()],
+        samples,
+        wraps: vec![Some(std::f64::consts::TAU)],
+    }
 }
 
 fn normal(random: &mut ChaCha8Rng) -> f64 {

@@ -53,7 +53,9 @@ impl PlaceKind {
 
 /// A place that cannot be read.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no place: write one of input, output, joint, state, parameter, connection or node, a colon and a name, such as `joint:axis`")]
+#[error(
+    "`{0}` is no place: write one of input, output, joint, state, parameter, connection or node, a colon and a name, such as `joint:axis`"
+)]
 pub struct PlaceError(pub String);
 
 impl Place {

@@ -65,6 +65,10 @@ pub(super) fn output(graph: &Graph, node: usize) -> Topic {
     }
 }
 
+/// How long the recorder may be kept from running, or the disk from writing, before records are lost (s). Three seconds
+/// were seen on two cores that compile at the same time.
+const RECORDER_SLACK: f64 = 15.0;
+
 /// The channel of a node's records: its steps with their messages, and its losses.
 pub(super) fn records(graph: &Graph, node: usize) -> Topic {
     let plan = &graph.nodes()[node];
@@ -76,8 +80,7 @@ pub(super) fn records(graph: &Graph, node: usize) -> Topic {
         name: format!("{}/record", plan.name),
         layout: description.hash(),
         words: (STEP_HEAD + words + layout.leaves.len()).max(LOSS_WORDS),
-        // The recorder may be kept from running, or the disk from writing, for this long.
-        buffer: ((graph.spec().nodes[node].rate * 2.0) as usize).clamp(64, 8192),
+        buffer: ((graph.spec().nodes[node].rate * RECORDER_SLACK) as usize).clamp(64, 32_768),
         subscribers: 1,
     }
 }

@@ -16,7 +16,7 @@ use crate::recording::{
 };
 use crate::time::Nanos;
 
-/// Time between two visits to the channels: short against their two seconds of room, long against a step.
+/// Time between two visits to the channels: short against the seconds of room that they have, long against a step.
 const VISIT: Duration = Duration::from_millis(4);
 
 /// What the launcher tells the recorder.
