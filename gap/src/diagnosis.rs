@@ -144,7 +144,9 @@ pub fn diagnose_experiment(
     if states + calibrated > most {
         return Err(DiagnosisError::TooMany { file: system.file.clone(), states, calibrated, most });
     }
-    let setup = Setup::new(equations, experiment, options.horizon);
+    let mut setup = Setup::new(equations, experiment, options.horizon);
+    quantify::refine_step(&mut setup);
+    let setup = setup;
     let (from, to) = setup.experiment.span();
     if setup.train.is_empty() || setup.test.is_empty() {
         return Err(DiagnosisError::Short {

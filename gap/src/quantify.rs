@@ -3,11 +3,15 @@
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use parallax_model::plant::Plant;
+
+use crate::equations::EquationsSimulator;
 use crate::filter::Noise;
 use crate::innovation::{Segment, walk};
 use crate::report::{Interval, Overlay};
 use crate::setup::Setup;
 use crate::simulator::{Prediction, Simulator, Transition, wrapped};
+use crate::statistics::root_mean_square;
 
 /// Squared errors of the predictions that start at one time: the block of the bootstrap.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -88,6 +92,32 @@ pub fn predict(setup: &Setup, simulator: &dyn Simulator, theta: &[f64], noise: &
         }
     }
     row
+}
+
+/// Halves the integration step until that changes the nominal system's predictions by far less than the noise.
+pub fn refine_step(setup: &mut Setup) {
+    let joints = setup.joints.len();
+    let plant = Plant::new(setup.equations.clone(), &[], Vec::new(), vec![1.0; joints]);
+    let predict = |step: f64| {
+        let simulator = EquationsSimulator::new(plant.clone(), Vec::new(), &setup.experiment, step);
+        predict(setup, &simulator, &[], &setup.noise.initial)
+    };
+    let mut step = setup.step;
+    let mut coarse = predict(step);
+    for _ in 0..4 {
+        let fine = predict(0.5 * step);
+        let pairs = coarse.readings.iter().zip(&fine.readings);
+        let changes: Vec<f64> = pairs.map(|(a, b)| (a.3 - b.3) / setup.output_noise[a.0]).collect();
+        // What a wrong model predicts is no truth to reach: a small share of its error is enough as well.
+        let enough = (0.1_f64).max(0.01 * fine.mean_square().sqrt());
+        let change = root_mean_square(&changes);
+        if change.is_nan() || change <= enough {
+            break;
+        }
+        step *= 0.5;
+        coarse = fine;
+    }
+    setup.step = step;
 }
 
 /// The lowest share that is stated: beyond it the numbers say nothing more.

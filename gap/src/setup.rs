@@ -151,34 +151,7 @@ impl Setup {
             input_range,
         };
         setup.measure();
-        setup.refine_step();
         setup
-    }
-
-    /// Halves the integration step until that changes predictions over the horizon by far less than the noise.
-    fn refine_step(&mut self) {
-        let joints = self.joints.len();
-        let plant = Plant::new(self.equations.clone(), &[], Vec::new(), vec![1.0; joints]);
-        let predict = |step: f64| {
-            let simulator = EquationsSimulator::new(plant.clone(), Vec::new(), &self.experiment, step);
-            crate::quantify::predict(self, &simulator, &[], &self.noise.initial)
-        };
-        let mut step = self.step;
-        let mut coarse = predict(step);
-        for _ in 0..4 {
-            let fine = predict(0.5 * step);
-            let pairs = coarse.readings.iter().zip(&fine.readings);
-            let changes: Vec<f64> = pairs.map(|(a, b)| (a.3 - b.3) / self.output_noise[a.0]).collect();
-            // What a wrong model predicts is no truth to reach: a small share of its error is enough as well.
-            let enough = (0.1_f64).max(0.01 * fine.mean_square().sqrt());
-            let change = root_mean_square(&changes);
-            if change.is_nan() || change <= enough {
-                break;
-            }
-            step *= 0.5;
-            coarse = fine;
-        }
-        self.step = step;
     }
 
     /// Runs the nominal model once, corrected by the readings, to see how large its motions are.
