@@ -16,6 +16,9 @@ const TEMPERATURE: f64 = 2.0;
 const PRIOR_NO_GAP: f64 = 0.3;
 const PRIOR_UNKNOWN: f64 = 0.1;
 
+/// Difference of −2 log evidence that says nothing.
+const EVEN: f64 = 1.0;
+
 /// Difference of −2 log evidence up to which the simpler of two effects with one signature is named.
 const EQUAL: f64 = 10.0;
 
@@ -182,14 +185,23 @@ impl Judge {
     }
 }
 
-/// Among the members of a class that the evidence does not tell apart from its best, the one with the fewest
-/// parameters leads; of equals the first in the library's order, which puts commands before readings.
+/// Puts the member to be named first: the simplest of those that the evidence does not tell apart from the best. One
+/// with fewer parameters may be a little worse; of equally simple ones the first in the library's order, which puts
+/// commands before readings, only where the evidence is truly even.
 fn lead_with_the_simplest(class: &mut [usize], fits: &[Fit], judge: &Judge) {
-    let best = class.iter().map(|&k| judge.cost(&fits[k])).fold(f64::INFINITY, f64::min);
-    let key = |k: usize| {
-        let fit = &fits[k];
-        (fit.hypothesis.fitted.len(), fit.hypothesis.effects.clone())
+    let Some(&best) = class.iter().min_by(|a, b| judge.cost(&fits[**a]).total_cmp(&judge.cost(&fits[**b])))
+    else {
+        return;
     };
-    let equal = class.iter().take_while(|&&k| judge.cost(&fits[k]) - best < EQUAL).count();
-    class[..equal].sort_by_key(|&k| key(k));
+    let size = |k: usize| fits[k].hypothesis.fitted.len();
+    let eligible = |k: usize| {
+        let worse = judge.cost(&fits[k]) - judge.cost(&fits[best]);
+        worse < EVEN || (size(k) < size(best) && worse < EQUAL)
+    };
+    let named = (0..class.len())
+        .filter(|&at| eligible(class[at]))
+        .min_by_key(|&at| (size(class[at]), fits[class[at]].hypothesis.effects.clone()));
+    if let Some(named) = named {
+        class[..=named].rotate_right(1);
+    }
 }

@@ -30,7 +30,12 @@ pub fn summary(report: &Report) -> String {
         .iter()
         .map(|(name, value)| format!("{name} {}", format::uncertain(value)))
         .collect();
-    let share = format::number(100.0 * report.how_far.closed_by_effect.value, 3);
+    let closed = report.how_far.closed_by_effect.value;
+    let closes = if closed > 0.0 {
+        format!("adding this closes {} % of it on held-out time", format::number(100.0 * closed, 3))
+    } else {
+        "but adding this closes nothing of it on held-out time".to_owned()
+    };
     let unsure = if leader.probability < 0.9 {
         format!(" (probability {} %)", format::number(100.0 * leader.probability, 2))
     } else {
@@ -43,7 +48,7 @@ pub fn summary(report: &Report) -> String {
     };
     let rest = if report.unexplained.share > 0.1 { "; more remains" } else { "" };
     format!(
-        "The gap lies at {}, which {what} ({}, {}){unsure}; adding this closes {share} % of it on held-out time{rest}{others}.",
+        "The gap lies at {}, which {what} ({}, {}){unsure}; {closes}{rest}{others}.",
         effect.place,
         effect.name,
         parameters.join(", ")
