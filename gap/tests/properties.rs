@@ -1,0 +1,112 @@
+//! Properties of the parts that a diagnosis rests on, and logs that are odd but possible.
+
+#[allow(dead_code, reason = "the other tests use the rest")]
+mod support;
+
+use parallax_gap::diagnosis::{Options, diagnose_experiment};
+use parallax_gap::equations::EquationsSimulator;
+use parallax_gap::experiment::{Experiment, Held, Sample};
+use parallax_gap::hypothesis::Slot;
+use parallax_gap::quantify::{Block, Row, closed};
+use parallax_gap::shooting::{lateness, locate};
+use parallax_gap::signature::orthonormal;
+use parallax_gap::simulator::Simulator;
+use parallax_model::effect::{Effect, PlaceKind};
+use parallax_model::plant::Plant;
+use parallax_model::system::{Equations, System};
+use proptest::prelude::*;
+
+fn equations() -> Equations {
+    System::parse(support::SYSTEM, "system.toml").unwrap().equations().unwrap()
+}
+
+fn row(squares: f64) -> Row {
+    Row { blocks: vec![Block { squares, count: 1 }; 4], readings: Vec::new() }
+}
+
+proptest! {
+    #[test]
+    fn bases_are_orthonormal(values in prop::collection::vec(-1e3..1e3_f64, 60)) {
+        let columns = nalgebra::DMatrix::from_row_slice(20, 3, &values);
+        let basis = orthonormal(&columns);
+        let product = basis.transpose() * &basis;
+        prop_assert!((product - nalgebra::DMatrix::identity(basis.ncols(), basis.ncols())).norm() < 1e-9);
+    }
+
+    #[test]
+    fn shares_are_bounded_and_a_failed_prediction_closes_nothing(before in 1.0..1e6_f64, after in 0.0..1e9_f64) {
+        let share = closed(&row(before), &row(after), 1);
+        prop_assert!(share.low <= share.value && share.value <= share.high);
+        prop_assert!((-10.0..=1.0).contains(&share.value));
+        prop_assert!(closed(&row(before), &row(f64::NAN), 1).value < 0.0);
+    }
+
+    #[test]
+    fn averaging_keeps_a_commands_integral_and_its_last_value(values in prop::collection::vec(-5.0..5.0_f64, 20..200)) {
+        let times: Vec<f64> = (0..values.len()).map(|k| k as f64 * 1e-3).collect();
+        let held = Held { times, values };
+        let averaged = held.averaged(0.01);
+        let end = *held.times.last().unwrap();
+        let integral = |h: &Held| -> f64 {
+            let until = h.times.iter().skip(1).copied().chain([end]);
+            h.times.iter().zip(&h.values).zip(until).map(|((t, v), u)| v * (u - t)).sum()
+        };
+        prop_assert!((integral(&held) - integral(&averaged)).abs() < 1e-9);
+        prop_assert_eq!(averaged.at(end + 1.0), held.at(end + 1.0));
+    }
+
+    #[test]
+    fn a_late_sensor_loses_no_reading(delay in 0.0..30.0_f64) {
+        let samples: Vec<Sample> =
+            (0..100).map(|k| Sample { stamp: f64::from(k), output: 0, value: 0.0 }).collect();
+        let held = Held { times: vec![0.0, 50.0], values: vec![0.0, 1.0] };
+        let experiment = Experiment { inputs: vec![held], input_units: Vec::new(), samples, wraps: vec![None] };
+        let plant = Plant::new(equations(), &[(Effect::Delay, PlaceKind::Output, 0)], Vec::new(), vec![1.0]);
+        let simulator =
+            EquationsSimulator::new(plant, vec![Slot::Effect { effect: 0, parameter: 0 }], &experiment, 1.0);
+        let run = simulator.run(&[delay]);
+        let events = run.events();
+        let (first, end) = locate(events, lateness(events), 20.0, 40.0).unwrap();
+        let found = events[first..end].iter().filter_map(|e| e.reading).filter(|r| r.stamp >= 20.0 && r.stamp < 40.0);
+        prop_assert_eq!(found.count(), 20);
+    }
+}
+
+/// Diagnoses a changed recording: it may be refused with a reason, and must not panic.
+fn survives(change: impl Fn(&mut Experiment)) {
+    let mut experiment = support::record(support::Hidden::default(), 5, 4.0);
+    change(&mut experiment);
+    match diagnose_experiment(equations(), experiment, "odd", &Options::default(), &|_, _| ()) {
+        Ok(found) => assert!(found.report.gap.p_value.is_finite()),
+        Err(error) => assert!(!error.to_string().is_empty()),
+    }
+}
+
+#[test]
+fn an_output_that_never_changes() {
+    survives(|e| e.samples.iter_mut().for_each(|s| s.value = 0.3));
+}
+
+#[test]
+fn a_command_that_never_changes() {
+    survives(|e| e.inputs[0].values.iter_mut().for_each(|v| *v = 0.0));
+}
+
+#[test]
+fn a_coarse_sensor() {
+    survives(|e| e.samples.iter_mut().for_each(|s| s.value = (s.value * 10.0).round() / 10.0));
+}
+
+#[test]
+fn a_sensor_of_noise() {
+    survives(|e| {
+        for (k, s) in e.samples.iter_mut().enumerate() {
+            s.value = ((k * 7919) % 1000) as f64 / 200.0 - 2.5;
+        }
+    });
+}
+
+#[test]
+fn samples_that_are_missing() {
+    survives(|e| e.samples.retain(|s| !(1.0..2.2).contains(&s.stamp)));
+}
