@@ -1,5 +1,7 @@
 //! Properties of the parts that a diagnosis rests on, and logs that are odd but possible.
 
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
 #[allow(dead_code, reason = "the other tests use the rest")]
 mod support;
 
