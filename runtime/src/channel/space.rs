@@ -204,14 +204,22 @@ impl Guard {
     fn clean(&self, base: &Path, shared_memory: &Path) -> usize {
         let mut removed = 0;
         let Ok(entries) = fs::read_dir(base) else { return 0 };
-        let mut locks: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
-        locks.sort();
-        for lock in locks.iter().filter(|path| path.extension().is_some_and(|e| e == "lock")) {
+        let mut paths: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
+        paths.sort();
+        let (locks, others): (Vec<_>, Vec<_>) =
+            paths.into_iter().partition(|path| path.extension().is_some_and(|e| e == "lock"));
+        for lock in &locks {
             let Ok(file) = File::open(lock) else { continue };
             if file.try_lock().is_ok() {
                 remove_run(&lock.with_extension(""), shared_memory);
                 removed += 1;
             }
+        }
+        // A run's lock is made before its directory. A directory without one was put back by a node that outlived the
+        // removal of its run.
+        for directory in others.iter().filter(|path| path.is_dir() && !path.with_extension("lock").exists()) {
+            remove_run(directory, shared_memory);
+            removed += 1;
         }
         removed
     }
@@ -331,7 +339,11 @@ mod tests {
         fs::write(dead.with_extension("lock"), "").unwrap();
         let segment = Path::new(SHARED_MEMORY).join(format!("{name}x.data"));
         fs::write(&segment, "").unwrap();
+        // A node that outlived its run has put a directory back.
+        let late = base.join("2-late");
+        fs::create_dir_all(late.join("i/nodes")).unwrap();
         clean_stale().unwrap();
+        assert!(!late.exists());
         assert!(!dead.exists() && !dead.with_extension("lock").exists() && !segment.exists());
         assert!(live.path().exists());
         let path = live.path().to_owned();
