@@ -200,6 +200,9 @@ fn a_truncated_recording_is_read_as_far_as_it_goes() {
     assert!(info["truncated"].as_str().unwrap().contains("the end of the file is missing"), "{info}");
     assert!(info["nodes"][0]["steps"].as_u64().unwrap() > 100);
     assert_eq!(json(&folder, &["replay", "cut.mcap", "--json"])["exact"], true);
+    // Cut before the first whole chunk: nothing is compared, which is not an exact replay.
+    fs::write(folder.path().join("early.mcap"), &bytes[..40_000]).unwrap();
+    fail(&folder, &["replay", "early.mcap"], 2, &["early.mcap", "no whole step"]);
     // Cut before anything is said of what is in it.
     fs::write(folder.path().join("stub.mcap"), &bytes[..40]).unwrap();
     fail(&folder, &["info", "stub.mcap"], 2, &["stub.mcap"]);

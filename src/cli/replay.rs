@@ -33,6 +33,13 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         )));
     }
     let report = replay(&recording, &parallax_nodes::registry(), &ReplayOptions::default()).input()?;
+    // Nothing compared is not the same as nothing different.
+    if report.steps() == 0 {
+        return Err(Failure::input(anyhow!(
+            "{} holds no whole step that could run again; record anew, or copy the file whole",
+            arguments.recording.display()
+        )));
+    }
     if let Some(out) = &arguments.out {
         make_parent(out)?;
         std::fs::write(out, summary(&report).to_string())
