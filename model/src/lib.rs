@@ -65,7 +65,9 @@ pub mod control;
 pub mod dual;
 pub mod effect;
 pub mod integrate;
+pub mod lanes;
 pub mod model;
+pub mod node_model;
 pub mod plant;
 pub mod program;
 pub mod scalar;
@@ -76,6 +78,7 @@ pub mod tree;
 
 pub use dual::Dual;
 pub use model::Model;
+pub use node_model::NodeModel;
 pub use program::Program;
 pub use scalar::Scalar;
 pub use tree::Tree;

@@ -59,6 +59,7 @@ pub mod delay;
 pub mod graph;
 pub mod import;
 pub mod launch;
+pub mod model_node;
 pub mod node;
 pub mod random;
 pub mod recording;

@@ -7,8 +7,10 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
 
+use parallax_model::node_model::NodeModel;
 use parallax_model::tree::Tree;
 
+use crate::model_node::{ModelKind, ModelStart};
 use crate::node::{ErasedNode, Layout, Message, Node, NodeContext, NodeError, Port};
 
 /// An input that a kind of node declares.
@@ -58,6 +60,7 @@ pub struct NodeKind {
     initial: Vec<f64>,
     deterministic: bool,
     stand_in: bool,
+    model: Option<ModelKind>,
     build: Arc<Build>,
 }
 
@@ -89,8 +92,62 @@ impl NodeKind {
             initial,
             deterministic: true,
             stand_in: false,
+            model: None,
             build: Arc::new(build),
         }
+    }
+
+    /// A kind whose nodes step the model `M`, so that they can also be compiled and run in batches. `start` reads a
+    /// node's parameters in the graph and gives what the model starts with. The initial message is the output's
+    /// default.
+    ///
+    /// ```
+    /// # use parallax_model::node_model::{NodeModel, NodeStep};
+    /// # use parallax_model::{Scalar, Tree};
+    /// # use parallax_runtime::node::Message;
+    /// # use parallax_runtime::registry::NodeKind;
+    /// #[derive(Tree, Clone, Default)]
+    /// struct Count<T = f64> { count: T }
+    /// impl Message for Count { const NAME: &'static str = "example/Count"; }
+    ///
+    /// struct Counter;
+    /// impl NodeModel for Counter {
+    ///     const NAME: &'static str = "counter";
+    ///     type Params<T: Scalar> = ();
+    ///     type State<T: Scalar> = Count<T>;
+    ///     type Output<T: Scalar> = Count<T>;
+    ///     fn step<T: Scalar>(_: &(), state: Count<T>, _: &NodeStep<'_, T>) -> (Count<T>, Count<T>) {
+    ///         let next = Count { count: state.count + 1.0 };
+    ///         (Count { count: next.count }, next)
+    ///     }
+    /// }
+    ///
+    /// let kind = NodeKind::model::<Counter>(|_| Ok(((), Count { count: 0.0 })));
+    /// assert!(kind.node_model().is_some());
+    /// ```
+    pub fn model<M: NodeModel>(
+        start: impl Fn(&NodeContext) -> Result<(M::Params<f64>, M::State<f64>), NodeError> + Send + Sync + 'static,
+    ) -> Self
+    where
+        M::Output<f64>: Message,
+    {
+        let kind = ModelKind::typed::<M>(move |context| {
+            let (params, state) = start(context)?;
+            Ok(ModelStart::of::<M>(&params, &state))
+        });
+        Self::from_model(Layout::of::<M::Output<f64>>(), M::Output::<f64>::default().to_vec(), kind)
+    }
+
+    /// A kind whose nodes step a model that is known only at run time.
+    ///
+    /// # Panics
+    ///
+    /// When `output` or `initial` does not fit the model's output.
+    pub fn from_model(output: Layout, initial: Vec<f64>, kind: ModelKind) -> Self {
+        assert_eq!(output.leaves, kind.model().output(), "the output of the model {}", kind.model().name());
+        let model = kind.clone();
+        let erased = Self::erased(output, initial, move |context| Ok(Box::new(kind.node(context)?)));
+        Self { model: Some(model), ..erased }
     }
 
     /// Declares an input.
@@ -157,6 +214,11 @@ impl NodeKind {
     /// Whether it stands in for hardware.
     pub fn is_stand_in(&self) -> bool {
         self.stand_in
+    }
+
+    /// The model that its nodes step; `None` for nodes that are plain Rust.
+    pub fn node_model(&self) -> Option<&ModelKind> {
+        self.model.as_ref()
     }
 
     /// Builds a node.

@@ -2,9 +2,11 @@
 
 use std::marker::PhantomData;
 
+use parallax_model::node_model::NodeModel;
+
 use super::{ConnectionSpec, GraphSpec, JitterPolicy, NodeSpec, OnDeadSender, PlantSpec, Scheduling};
 use crate::delay::Delay;
-use crate::node::{Node, Port};
+use crate::node::{Message, Node, Port};
 
 /// Builds a [`GraphSpec`]. A connection to a port of another message type does not compile.
 ///
@@ -69,21 +71,21 @@ pub struct GraphBuilder {
     spec: GraphSpec,
 }
 
-/// A node in a [`GraphBuilder`].
-pub struct NodeHandle<N> {
+/// A node in a [`GraphBuilder`] that sends messages `M`.
+pub struct NodeHandle<M> {
     index: usize,
-    node: PhantomData<fn() -> N>,
+    message: PhantomData<fn() -> M>,
 }
 
-impl<N> Clone for NodeHandle<N> {
+impl<M> Clone for NodeHandle<M> {
     fn clone(&self) -> Self {
         *self
     }
 }
 
-impl<N> Copy for NodeHandle<N> {}
+impl<M> Copy for NodeHandle<M> {}
 
-impl<N> std::fmt::Debug for NodeHandle<N> {
+impl<M> std::fmt::Debug for NodeHandle<M> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_tuple("NodeHandle").field(&self.index).finish()
     }
@@ -110,16 +112,27 @@ impl GraphBuilder {
         name: impl Into<String>,
         kind: impl Into<String>,
         rate: f64,
-    ) -> NodeBuilder<'_, N> {
-        NodeBuilder { graph: self, spec: NodeSpec::new(name, kind, rate), node: PhantomData }
+    ) -> NodeBuilder<'_, N::Output> {
+        NodeBuilder { graph: self, spec: NodeSpec::new(name, kind, rate), message: PhantomData }
+    }
+
+    /// Begins a node that steps the model `M` at `rate` Hz; `kind` is its key in the registry. Ends with
+    /// [`NodeBuilder::add`].
+    pub fn model<M: NodeModel>(
+        &mut self,
+        name: impl Into<String>,
+        kind: impl Into<String>,
+        rate: f64,
+    ) -> NodeBuilder<'_, M::Output<f64>> {
+        NodeBuilder { graph: self, spec: NodeSpec::new(name, kind, rate), message: PhantomData }
     }
 
     /// Begins a connection from one node to the input `port` of another. Ends with [`ConnectionBuilder::add`].
-    pub fn connect<A: Node, B: Node>(
+    pub fn connect<M: Message, N>(
         &mut self,
-        from: NodeHandle<A>,
-        to: NodeHandle<B>,
-        port: Port<A::Output>,
+        from: NodeHandle<M>,
+        to: NodeHandle<N>,
+        port: Port<M>,
     ) -> ConnectionBuilder<'_> {
         let name = |index: usize| self.spec.nodes[index].name.clone();
         let mut spec = ConnectionSpec::new(name(from.index), name(to.index));
@@ -135,7 +148,7 @@ impl GraphBuilder {
     }
 
     /// Names the supervisor and ends the graph.
-    pub fn supervisor<N>(mut self, node: NodeHandle<N>) -> GraphSpec {
+    pub fn supervisor<M>(mut self, node: NodeHandle<M>) -> GraphSpec {
         self.spec.supervisor = self.spec.nodes[node.index].name.clone();
         self.spec
     }
@@ -144,13 +157,13 @@ impl GraphBuilder {
 /// A node being described.
 #[derive(Debug)]
 #[must_use = "a node is part of the graph only after `add`"]
-pub struct NodeBuilder<'a, N> {
+pub struct NodeBuilder<'a, M> {
     graph: &'a mut GraphBuilder,
     spec: NodeSpec,
-    node: PhantomData<fn() -> N>,
+    message: PhantomData<fn() -> M>,
 }
 
-impl<N> NodeBuilder<'_, N> {
+impl<M> NodeBuilder<'_, M> {
     /// Sets one of the kind's parameters.
     pub fn parameter(mut self, name: &str, value: impl Into<serde_json::Value>) -> Self {
         self.spec.parameters.insert(name.to_owned(), value.into());
@@ -188,9 +201,9 @@ impl<N> NodeBuilder<'_, N> {
     }
 
     /// Adds it to the graph.
-    pub fn add(self) -> NodeHandle<N> {
+    pub fn add(self) -> NodeHandle<M> {
         self.graph.spec.nodes.push(self.spec);
-        NodeHandle { index: self.graph.spec.nodes.len() - 1, node: PhantomData }
+        NodeHandle { index: self.graph.spec.nodes.len() - 1, message: PhantomData }
     }
 }
 
