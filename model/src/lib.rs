@@ -66,7 +66,6 @@ pub mod dual;
 pub mod effect;
 pub mod integrate;
 pub mod lanes;
-pub mod lanes;
 pub mod model;
 pub mod node_model;
 pub mod plant;
