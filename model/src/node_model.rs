@@ -40,6 +40,7 @@
 use std::fmt;
 use std::marker::PhantomData;
 
+use crate::lanes::{F32x32, F64x16, Kernel, Level};
 use crate::program::{Program, Workspace};
 use crate::scalar::Scalar;
 use crate::trace::{Traced, trace_fn};
@@ -328,6 +329,52 @@ pub trait ErasedModel: Send + Sync {
         scratch: &mut Scratch<f64>,
         output: &mut [f64],
     );
+
+    /// As [`step_f64`](Self::step_f64), for 16 nodes at once, on the widest instructions of this machine.
+    ///
+    /// # Panics
+    ///
+    /// As [`step_f64`](Self::step_f64).
+    fn step_f64x16(
+        &self,
+        params: &[F64x16],
+        state: &mut [F64x16],
+        step: &NodeStep<'_, F64x16>,
+        scratch: &mut Scratch<F64x16>,
+        output: &mut [F64x16],
+    );
+
+    /// As [`step_f64x16`](Self::step_f64x16), for 32 nodes in single precision.
+    ///
+    /// # Panics
+    ///
+    /// As [`step_f64`](Self::step_f64).
+    fn step_f32x32(
+        &self,
+        params: &[F32x32],
+        state: &mut [F32x32],
+        step: &NodeStep<'_, F32x32>,
+        scratch: &mut Scratch<F32x32>,
+        output: &mut [F32x32],
+    );
+}
+
+/// One step of a model on lanes, to be compiled for every instruction set.
+struct StepKernel<'a, 'b, M, T: Scalar> {
+    model: &'a M,
+    params: &'a [T],
+    state: &'a mut [T],
+    step: &'a NodeStep<'b, T>,
+    scratch: &'a mut Scratch<T>,
+    output: &'a mut [T],
+}
+
+impl<M: FlatModel, T: Scalar> Kernel for StepKernel<'_, '_, M, T> {
+    type Output = ();
+    #[inline(always)]
+    fn run(self) {
+        self.model.step(self.params, self.state, self.step, self.scratch, self.output);
+    }
 }
 
 impl<M: FlatModel> ErasedModel for M {
@@ -381,6 +428,28 @@ impl<M: FlatModel> ErasedModel for M {
         output: &mut [f64],
     ) {
         FlatModel::step(self, params, state, step, scratch, output);
+    }
+
+    fn step_f64x16(
+        &self,
+        params: &[F64x16],
+        state: &mut [F64x16],
+        step: &NodeStep<'_, F64x16>,
+        scratch: &mut Scratch<F64x16>,
+        output: &mut [F64x16],
+    ) {
+        Level::widest().run(StepKernel { model: self, params, state, step, scratch, output });
+    }
+
+    fn step_f32x32(
+        &self,
+        params: &[F32x32],
+        state: &mut [F32x32],
+        step: &NodeStep<'_, F32x32>,
+        scratch: &mut Scratch<F32x32>,
+        output: &mut [F32x32],
+    ) {
+        Level::widest().run(StepKernel { model: self, params, state, step, scratch, output });
     }
 }
 
