@@ -75,6 +75,7 @@ pub struct Output<T> {
 }
 
 /// The time derivative of the state.
+#[inline(always)]
 pub fn derivative<T: Scalar>(p: &Params<T>, x: &State<T>, u: &Input<T>) -> State<T> {
     let motor = u.voltage * p.motor / p.resistance;
     let gravity = p.mass * p.length * GRAVITY * x.angle.sin();
@@ -84,6 +85,7 @@ pub fn derivative<T: Scalar>(p: &Params<T>, x: &State<T>, u: &Input<T>) -> State
 }
 
 /// Kinetic and potential energy, J; the potential is zero at the height of the shaft.
+#[inline(always)]
 pub fn energy<T: Scalar>(p: &Params<T>, x: &State<T>) -> T {
     p.inertia * x.speed * x.speed * 0.5 + p.mass * p.length * GRAVITY * x.angle.cos()
 }
@@ -99,6 +101,7 @@ impl Model for Pendulum {
     type Input<T: Scalar> = Input<T>;
     type Output<T: Scalar> = Output<T>;
 
+    #[inline(always)]
     fn step<T: Scalar>(p: &Params<T>, x: State<T>, u: Input<T>, dt: T) -> (State<T>, Output<T>) {
         let x = rk4(|x: &State<T>| derivative(p, x, &u), x, dt);
         (x, Output { angle: x.angle })

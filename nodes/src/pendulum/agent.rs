@@ -5,13 +5,14 @@
 //! a linear controller balances it near the top, and a sum of sines from 0.3 to 6 Hz, of an amplitude that comes and
 //! goes, is added throughout.
 
-use parallax_runtime::node::{Node, NodeContext, NodeError, Port, Step};
+use std::f64::consts::TAU;
+
+use parallax_model::node_model::{NodeModel, NodeStep};
+use parallax_model::{Scalar, Tree};
+use parallax_runtime::node::Port;
 use parallax_runtime::registry::NodeKind;
-use parallax_runtime::time::to_seconds;
 use rand::RngExt;
 use serde::Deserialize;
-
-use std::f64::consts::TAU;
 
 use super::messages::{Estimate, Voltage};
 use crate::models::pendulum::{GRAVITY, Params, State, energy};
@@ -26,10 +27,10 @@ const LEVELS: [f64; 6] = [0.2, 1.0, -0.6, 1.5, -0.2, 0.6];
 /// How long each energy is held, s.
 const HOLD: f64 = 2.5;
 
-/// Parameters of the agent.
+/// What may stand in a graph.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Parameters {
+pub struct Settings {
     /// The largest voltage that it asks for, V.
     pub limit: f64,
     /// Root mean square of the excitation at its strongest, V; 0 for none.
@@ -38,69 +39,87 @@ pub struct Parameters {
     pub balance_only: bool,
 }
 
-impl Default for Parameters {
+impl Default for Settings {
     fn default() -> Self {
         Self { limit: 4.0, excitation: 2.4, balance_only: false }
     }
 }
 
-/// The agent.
-#[derive(Clone, Debug)]
-pub struct Agent {
-    parameters: Parameters,
-    model: Params<f64>,
-    phases: [f64; FREQUENCIES.len()],
+/// Parameters of the agent.
+#[derive(Tree, Clone, Copy, Debug, PartialEq)]
+pub struct Parameters<T = f64> {
+    /// The largest voltage that it asks for, V.
+    pub limit: T,
+    /// Root mean square of the excitation at its strongest, V.
+    pub excitation: T,
+    /// 1 when it only balances, without a schedule, else 0.
+    pub balance_only: T,
+    /// Phases of the excitation's sines, rad.
+    pub phase: [T; FREQUENCIES.len()],
+    /// What it believes of the pendulum.
+    pub model: Params<T>,
 }
+
+/// The agent.
+#[derive(Clone, Copy, Debug)]
+pub struct Agent;
 
 /// The kind `pendulum/agent`.
 pub fn kind() -> NodeKind {
-    NodeKind::new(Agent::new).input(ESTIMATOR)
-}
-
-impl Agent {
-    fn new(context: &NodeContext) -> Result<Self, NodeError> {
-        let parameters: Parameters = context.parameters()?;
-        if !(parameters.limit > 0.0 && parameters.excitation >= 0.0) {
+    NodeKind::model::<Agent>(|context| {
+        let Settings { limit, excitation, balance_only } = context.parameters()?;
+        if !(limit > 0.0 && excitation >= 0.0) {
             return Err(context.parameter_error("`limit` must be positive and `excitation` not negative"));
         }
         let mut random = context.random();
-        let phases = std::array::from_fn(|_| random.random_range(0.0..TAU));
-        Ok(Self { parameters, model: Params::default(), phases })
-    }
-
-    /// The sum of sines at a time, V.
-    fn excitation(&self, time: f64) -> f64 {
-        let sum: f64 = FREQUENCIES
-            .iter()
-            .zip(&self.phases)
-            .map(|(frequency, phase)| (TAU * frequency * time + phase).sin())
-            .sum();
-        // Comes and goes over seven seconds, so that small and large commands both occur.
-        let envelope = 0.6 + 0.4 * (TAU * time / 7.0).sin();
-        self.parameters.excitation * envelope * sum * (2.0 / FREQUENCIES.len() as f64).sqrt()
-    }
+        let phase = std::array::from_fn(|_| random.random_range(0.0..TAU));
+        let balance_only = if balance_only { 1.0 } else { 0.0 };
+        Ok((Parameters { limit, excitation, balance_only, phase, model: Params::default() }, ()))
+    })
+    .input(ESTIMATOR)
 }
 
-impl Node for Agent {
-    type Output = Voltage;
+/// The sum of sines at a time, V.
+fn excitation<T: Scalar>(p: &Parameters<T>, time: T) -> T {
+    let sum = FREQUENCIES
+        .iter()
+        .zip(&p.phase)
+        .fold(T::constant(0.0), |sum, (frequency, phase)| sum + (time * (TAU * frequency) + *phase).sin());
+    // Comes and goes over seven seconds, so that small and large commands both occur.
+    let envelope = (time * (TAU / 7.0)).sin() * 0.4 + 0.6;
+    p.excitation * envelope * sum * (2.0 / FREQUENCIES.len() as f64).sqrt()
+}
 
-    fn step(&mut self, step: &Step<'_>) -> Result<Voltage, NodeError> {
-        let Estimate { angle, speed, .. } = step.latest(ESTIMATOR).message;
-        let time = to_seconds(step.start);
-        let top = self.model.mass * self.model.length * GRAVITY;
-        let level = match self.parameters.balance_only {
-            true => 1.0,
-            false => LEVELS[(time / HOLD).max(0.0) as usize % LEVELS.len()],
-        };
-        let near_the_top = angle.abs() < 0.4 && speed.abs() < 5.0;
-        let voltage = if level == 1.0 && near_the_top {
-            // The weight tips over with mgl θ, which 4.8 V per rad balance; the rest brings it back.
-            -(16.0 * angle + 1.4 * speed) + 0.4 * self.excitation(time)
-        } else {
-            let missing = level - energy(&self.model, &State { angle, speed }) / top;
-            // Smooth in the speed: at a turning point neither direction adds energy.
-            (6.0 * missing).clamp(-3.0, 3.0) * (speed / 2.0).tanh() + self.excitation(time)
-        };
-        Ok(Voltage { voltage: voltage.clamp(-self.parameters.limit, self.parameters.limit) })
+/// The energy to go to at a time, as a fraction of that upright.
+fn level<T: Scalar>(p: &Parameters<T>, time: T) -> T {
+    let place = (time.max(T::constant(0.0)) / HOLD).floor();
+    let turns = (place / LEVELS.len() as f64).floor();
+    let place = place - turns * LEVELS.len() as f64;
+    let scheduled = LEVELS.iter().enumerate().fold(T::constant(LEVELS[0]), |level, (index, &other)| {
+        T::select(place.eq(T::constant(index as f64)), T::constant(other), level)
+    });
+    T::select(p.balance_only.gt(T::constant(0.5)), T::constant(1.0), scheduled)
+}
+
+impl NodeModel for Agent {
+    const NAME: &'static str = "agent";
+    type Params<T: Scalar> = Parameters<T>;
+    type State<T: Scalar> = ();
+    type Output<T: Scalar> = Voltage<T>;
+
+    fn step<T: Scalar>(p: &Parameters<T>, (): (), step: &NodeStep<'_, T>) -> ((), Voltage<T>) {
+        let Estimate { angle, speed, .. } = step.latest::<Estimate<T>>(ESTIMATOR.name()).message;
+        let shake = excitation(p, step.start);
+        let level = level(p, step.start);
+        let near_the_top = angle.abs().lt(T::constant(0.4)) & speed.abs().lt(T::constant(5.0));
+        // The weight tips over with mgl θ, which 4.8 V per rad balance; the rest brings it back.
+        let balance = -(angle * 16.0 + speed * 1.4) + shake * 0.4;
+        let top = p.model.mass * p.model.length * GRAVITY;
+        let missing = level - energy(&p.model, &State { angle, speed }) / top;
+        // Smooth in the speed: at a turning point neither direction adds energy.
+        let push = (missing * 6.0).clamp(T::constant(-3.0), T::constant(3.0));
+        let swing = push * (speed / 2.0).tanh() + shake;
+        let voltage = T::select(level.eq(T::constant(1.0)) & near_the_top, balance, swing);
+        ((), Voltage { voltage: voltage.clamp(-p.limit, p.limit) })
     }
 }

@@ -1,9 +1,9 @@
 //! The camera: sees the angle of the world's mark, with noise.
 
-use parallax_runtime::node::{Node, NodeError, Port, Step};
+use parallax_model::node_model::{NodeModel, NodeStep};
+use parallax_model::{Scalar, Tree};
+use parallax_runtime::node::Port;
 use parallax_runtime::registry::NodeKind;
-use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, Normal};
 use serde::Deserialize;
 
 use super::messages::{Angle, WorldState};
@@ -13,11 +13,11 @@ use super::wrapped;
 pub const WORLD: Port<WorldState> = Port::new("world");
 
 /// Parameters of the camera.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Parameters {
+#[derive(Tree, Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields, bound = "T: Deserialize<'de>, Parameters<T>: Default")]
+pub struct Parameters<T = f64> {
     /// Standard deviation of the noise on the angle, rad.
-    pub noise: f64,
+    pub noise: T,
 }
 
 impl Default for Parameters {
@@ -27,31 +27,32 @@ impl Default for Parameters {
 }
 
 /// The camera.
-#[derive(Clone, Debug)]
-pub struct Camera {
-    noise: Normal<f64>,
-    random: ChaCha8Rng,
-}
+#[derive(Clone, Copy, Debug)]
+pub struct Camera;
 
 /// The kind `pendulum/camera`.
 pub fn kind() -> NodeKind {
-    NodeKind::new(|context| {
-        let Parameters { noise } = context.parameters()?;
-        let noise =
-            Normal::new(0.0, noise).ok().filter(|normal| normal.std_dev() >= 0.0).ok_or_else(|| {
-                context.parameter_error(format!("`noise` is {noise} rad; it must not be negative"))
-            })?;
-        Ok(Camera { noise, random: context.random() })
+    NodeKind::model::<Camera>(|context| {
+        let parameters: Parameters = context.parameters()?;
+        let noise = parameters.noise;
+        if !(noise >= 0.0 && noise.is_finite()) {
+            return Err(context.parameter_error(format!("`noise` is {noise} rad; it must not be negative")));
+        }
+        Ok((parameters, ()))
     })
     .input(WORLD)
     .initial(&Angle { angle: -std::f64::consts::PI, stamp: 0.0 })
 }
 
-impl Node for Camera {
-    type Output = Angle;
+impl NodeModel for Camera {
+    const NAME: &'static str = "camera";
+    const NOISE: usize = 1;
+    type Params<T: Scalar> = Parameters<T>;
+    type State<T: Scalar> = ();
+    type Output<T: Scalar> = Angle<T>;
 
-    fn step(&mut self, step: &Step<'_>) -> Result<Angle, NodeError> {
-        let seen = step.latest(WORLD).message;
-        Ok(Angle { angle: wrapped(seen.angle + self.noise.sample(&mut self.random)), stamp: seen.stamp })
+    fn step<T: Scalar>(p: &Parameters<T>, (): (), step: &NodeStep<'_, T>) -> ((), Angle<T>) {
+        let seen = step.latest::<WorldState<T>>(WORLD.name()).message;
+        ((), Angle { angle: wrapped(seen.angle + p.noise * step.noise[0]), stamp: seen.stamp })
     }
 }

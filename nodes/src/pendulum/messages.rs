@@ -7,13 +7,13 @@ use crate::pid::{Commanded, Measured};
 
 /// What the world is like; known only because the world is simulated.
 #[derive(Tree, Clone, Copy, Debug, Default, PartialEq)]
-pub struct WorldState {
+pub struct WorldState<T = f64> {
     /// Angle of the sensor's mark from upright, rad, not wrapped.
-    pub angle: f64,
+    pub angle: T,
     /// Angular speed, rad/s.
-    pub speed: f64,
+    pub speed: T,
     /// When this was true, seconds since the run's start.
-    pub stamp: f64,
+    pub stamp: T,
 }
 
 impl Message for WorldState {
@@ -22,11 +22,11 @@ impl Message for WorldState {
 
 /// What the camera sees.
 #[derive(Tree, Clone, Copy, Debug, Default, PartialEq)]
-pub struct Angle {
+pub struct Angle<T = f64> {
     /// Angle from upright, rad, within [−π, π).
-    pub angle: f64,
+    pub angle: T,
     /// When the picture was taken, seconds since the run's start.
-    pub stamp: f64,
+    pub stamp: T,
 }
 
 impl Message for Angle {
@@ -41,13 +41,13 @@ impl Measured for Angle {
 
 /// What the estimator believes of the present.
 #[derive(Tree, Clone, Copy, Debug, Default, PartialEq)]
-pub struct Estimate {
+pub struct Estimate<T = f64> {
     /// Angle from upright, rad, within [−π, π).
-    pub angle: f64,
+    pub angle: T,
     /// Angular speed, rad/s.
-    pub speed: f64,
+    pub speed: T,
     /// The time for which this holds, seconds since the run's start.
-    pub stamp: f64,
+    pub stamp: T,
 }
 
 impl Message for Estimate {
@@ -56,9 +56,9 @@ impl Message for Estimate {
 
 /// A voltage for the motor.
 #[derive(Tree, Clone, Copy, Debug, Default, PartialEq)]
-pub struct Voltage {
+pub struct Voltage<T = f64> {
     /// Voltage, V; positive drives the angle up.
-    pub voltage: f64,
+    pub voltage: T,
 }
 
 impl Message for Voltage {

@@ -10,14 +10,17 @@
 
 pub mod agent;
 pub mod camera;
+pub mod encoder;
 pub mod estimator;
 pub mod hidden;
 mod messages;
 pub mod motor;
+pub mod plant;
 pub mod world;
 
-use std::f64::consts::PI;
+use std::f64::consts::{PI, TAU};
 
+use parallax_model::Scalar;
 use parallax_runtime::delay::Delay;
 use parallax_runtime::graph::{GraphBuilder, GraphSpec};
 use parallax_runtime::registry::Registry;
@@ -26,9 +29,11 @@ pub use messages::{Angle, Estimate, Voltage, WorldState};
 
 use agent::Agent;
 use camera::Camera;
+use encoder::Encoder;
 use estimator::Estimator;
 use hidden::HiddenEffect;
 use motor::Motor;
+use plant::Plant;
 use world::World;
 
 /// The nominal simulator of the stretch between `motor.voltage` and `camera.angle`: the text of a `system.toml`.
@@ -50,9 +55,11 @@ pub fn kinds_from_environment(registry: Registry) -> Registry {
 fn everything_but_the_world(registry: Registry) -> Registry {
     registry
         .with("pendulum/camera", camera::kind())
+        .with("pendulum/encoder", encoder::kind())
         .with("pendulum/estimator", estimator::kind())
         .with("pendulum/agent", agent::kind())
         .with("pendulum/motor", motor::kind())
+        .with("pendulum/plant", plant::kind())
         .with("pendulum/pid", crate::pid::kind::<Angle, Voltage>())
 }
 
@@ -63,14 +70,14 @@ pub fn graph() -> GraphSpec {
     let world =
         graph.node::<World>("world", "pendulum/world", 200.0).computation(Delay::constant(50e-6)).add();
     let camera =
-        graph.node::<Camera>("camera", "pendulum/camera", 100.0).computation(normal(2e-3, 0.2e-3)).add();
+        graph.model::<Camera>("camera", "pendulum/camera", 100.0).computation(normal(2e-3, 0.2e-3)).add();
     let estimator = graph
         .node::<Estimator>("estimator", "pendulum/estimator", 100.0)
         .computation(normal(0.2e-3, 0.02e-3))
         .add();
-    let agent = graph.node::<Agent>("agent", "pendulum/agent", 50.0).computation(normal(1e-3, 0.2e-3)).add();
+    let agent = graph.model::<Agent>("agent", "pendulum/agent", 50.0).computation(normal(1e-3, 0.2e-3)).add();
     let motor =
-        graph.node::<Motor>("motor", "pendulum/motor", 100.0).computation(Delay::constant(0.1e-3)).add();
+        graph.model::<Motor>("motor", "pendulum/motor", 100.0).computation(Delay::constant(0.1e-3)).add();
     let wire = || normal(0.3e-3, 0.05e-3);
     graph.connect(world, camera, camera::WORLD).blocking().delay(wire()).add();
     graph.connect(camera, estimator, estimator::CAMERA).blocking().delay(wire()).add();
@@ -82,7 +89,30 @@ pub fn graph() -> GraphSpec {
     graph.supervisor(agent)
 }
 
+/// The loop with its nominal simulator instead of a world, and an encoder instead of camera and estimator: every node is
+/// a model, so that the graph compiles.
+///
+/// ```text
+/// world ──> encoder ──> agent ──> motor ──> world
+/// ```
+pub fn simulated() -> GraphSpec {
+    let mut graph = GraphBuilder::new("pendulum-simulated");
+    let normal = |mean: f64, std: f64| Delay::Normal { mean, std };
+    let world = graph.model::<Plant>("world", "pendulum/plant", 100.0).add();
+    let encoder =
+        graph.model::<Encoder>("encoder", "pendulum/encoder", 100.0).computation(normal(2e-3, 0.4e-3)).add();
+    let agent = graph.model::<Agent>("agent", "pendulum/agent", 50.0).computation(normal(2e-3, 0.5e-3)).add();
+    let motor = graph.model::<Motor>("motor", "pendulum/motor", 50.0).computation(normal(1e-3, 0.2e-3)).add();
+    let wire = || normal(1e-3, 0.3e-3);
+    graph.connect(world, encoder, encoder::WORLD).add();
+    graph.connect(encoder, agent, agent::ESTIMATOR).blocking().delay(wire()).add();
+    graph.connect(agent, motor, motor::AGENT).blocking().delay(wire()).add();
+    graph.connect(motor, world, plant::MOTOR).skip().delay(wire()).add();
+    graph.supervisor(agent)
+}
+
 /// The same angle, rad, within [−π, π).
-pub(crate) fn wrapped(angle: f64) -> f64 {
-    (angle + PI).rem_euclid(2.0 * PI) - PI
+pub(crate) fn wrapped<T: Scalar>(angle: T) -> T {
+    let turns = ((angle + PI) / TAU).floor();
+    angle - turns * TAU
 }

@@ -1,6 +1,8 @@
 //! The motor's driver: passes the agent's voltage on, within what the motor is rated for.
 
-use parallax_runtime::node::{Node, NodeError, Port, Step};
+use parallax_model::node_model::{NodeModel, NodeStep};
+use parallax_model::{Scalar, Tree};
+use parallax_runtime::node::Port;
 use parallax_runtime::registry::NodeKind;
 use serde::Deserialize;
 
@@ -10,11 +12,11 @@ use super::messages::Voltage;
 pub const AGENT: Port<Voltage> = Port::new("agent");
 
 /// Parameters of the driver.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Parameters {
+#[derive(Tree, Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields, bound = "T: Deserialize<'de>, Parameters<T>: Default")]
+pub struct Parameters<T = f64> {
     /// The motor's rated voltage, V: commands beyond it, of either sign, are limited.
-    pub rated: f64,
+    pub rated: T,
 }
 
 impl Default for Parameters {
@@ -25,29 +27,31 @@ impl Default for Parameters {
 
 /// The driver.
 #[derive(Clone, Copy, Debug)]
-pub struct Motor {
-    rated: f64,
-}
+pub struct Motor;
 
 /// The kind `pendulum/motor`.
 pub fn kind() -> NodeKind {
-    NodeKind::new(|context| {
-        let Parameters { rated } = context.parameters()?;
+    NodeKind::model::<Motor>(|context| {
+        let parameters: Parameters = context.parameters()?;
+        let rated = parameters.rated;
         if !(rated > 0.0 && rated.is_finite()) {
             return Err(context.parameter_error(format!("`rated` is {rated} V; it must be positive")));
         }
-        Ok(Motor { rated })
+        Ok((parameters, ()))
     })
     .input(AGENT)
 }
 
-impl Node for Motor {
-    type Output = Voltage;
+impl NodeModel for Motor {
+    const NAME: &'static str = "motor";
+    type Params<T: Scalar> = Parameters<T>;
+    type State<T: Scalar> = ();
+    type Output<T: Scalar> = Voltage<T>;
 
-    fn step(&mut self, step: &Step<'_>) -> Result<Voltage, NodeError> {
-        let wanted = step.latest(AGENT).message.voltage;
-        // Something that is no number must not reach the motor.
-        let voltage = if wanted.is_nan() { 0.0 } else { wanted.clamp(-self.rated, self.rated) };
-        Ok(Voltage { voltage })
+    fn step<T: Scalar>(p: &Parameters<T>, (): (), step: &NodeStep<'_, T>) -> ((), Voltage<T>) {
+        let wanted = step.latest::<Voltage<T>>(AGENT.name()).message.voltage;
+        // Something that is no number must not reach the motor; only such a thing differs from itself.
+        let wanted = T::select(wanted.eq(wanted), wanted, T::constant(0.0));
+        ((), Voltage { voltage: wanted.clamp(-p.rated, p.rated) })
     }
 }
