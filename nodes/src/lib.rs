@@ -1,7 +1,8 @@
 //! Ready-made models and nodes.
 //!
-//! [`models`] holds the mathematics of robots: pure functions generic over the scalar. [`pendulum`] is a graph of nodes
-//! around a simulated world, [`pid`] a controller for any graph. [`registry()`] names every kind of node.
+//! [`models`] holds the mathematics of robots: pure functions generic over the scalar. [`pendulum`] and [`quadrotor`]
+//! are graphs of nodes around them, [`pid`] a controller for any graph. [`registry()`] names every kind of node and
+//! [`graph`] every graph.
 //!
 //! ```
 //! use parallax_nodes::{pendulum, registry};
@@ -13,6 +14,7 @@
 pub mod models;
 pub mod pendulum;
 pub mod pid;
+pub mod quadrotor;
 mod registry;
 
-pub use registry::registry;
+pub use registry::{GRAPHS, graph, registry};

@@ -1,8 +1,9 @@
-//! All kinds of node that Parallax brings along.
+//! All kinds of node and all graphs that Parallax brings along.
 
+use parallax_runtime::graph::GraphSpec;
 use parallax_runtime::registry::Registry;
 
-use crate::pendulum;
+use crate::{pendulum, quadrotor};
 
 /// The kinds of node that come with Parallax. The pendulum's world hides what the environment says
 /// ([`pendulum::hidden::SEED_VARIABLE`]).
@@ -13,5 +14,18 @@ use crate::pendulum;
 /// assert_eq!(graph.nodes()[graph.supervisor()].name, "agent");
 /// ```
 pub fn registry() -> Registry {
-    pendulum::kinds_from_environment(Registry::new())
+    quadrotor::kinds(pendulum::kinds_from_environment(Registry::new()))
+}
+
+/// The names of the graphs that come with Parallax.
+pub const GRAPHS: [&str; 3] = ["pendulum", "pendulum-simulated", "quadrotor-simulated"];
+
+/// The graph of this name, one of [`GRAPHS`].
+pub fn graph(name: &str) -> Option<GraphSpec> {
+    match name {
+        "pendulum" => Some(pendulum::graph()),
+        "pendulum-simulated" => Some(pendulum::simulated()),
+        "quadrotor-simulated" => Some(quadrotor::simulated()),
+        _ => None,
+    }
 }

@@ -20,7 +20,7 @@ pub const GRAVITY: f64 = 9.81;
 pub const STEP: f64 = 0.01;
 
 /// A vector in the world's frame, z up.
-#[derive(Tree, Clone, Copy, Debug, PartialEq)]
+#[derive(Tree, Clone, Copy, Debug, Default, PartialEq)]
 pub struct Vector<T> {
     /// East or forward.
     pub x: T,
@@ -31,7 +31,7 @@ pub struct Vector<T> {
 }
 
 /// Roll, pitch and yaw, rad: the attitude is `R_z(yaw) R_y(pitch) R_x(roll)`.
-#[derive(Tree, Clone, Copy, Debug, PartialEq)]
+#[derive(Tree, Clone, Copy, Debug, Default, PartialEq)]
 pub struct Attitude<T> {
     /// φ, about the body's x axis.
     pub roll: T,
@@ -132,6 +132,12 @@ pub struct Output<T> {
 /// Total thrust of the four rotors along the body's z axis, N: `c_m Ω + d_m Θ`.
 pub fn thrust<T: Scalar>(p: &Params<T>, x: &State<T>, u: &Input<T>) -> T {
     p.thrust_state * x.thrust + p.thrust_direct * u.pwm
+}
+
+/// The motor signal that carries the weight of a level quadrotor at rest, counts: with `Ω = −b_m Θ/a_m` the thrust is
+/// `m g`.
+pub fn hover_pwm<T: Scalar>(p: &Params<T>) -> T {
+    p.mass * GRAVITY / (p.thrust_direct - p.thrust_state * p.motor_gain / p.motor_rate)
 }
 
 /// The motor signal at which four rotors give this thrust at rest, counts: the upper root of

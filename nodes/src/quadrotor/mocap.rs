@@ -1,0 +1,74 @@
+//! Motion capture: sees how the quadrotor moves, with noise.
+
+use parallax_model::node_model::{NodeModel, NodeStep};
+use parallax_model::{Scalar, Tree};
+use parallax_runtime::node::Port;
+use parallax_runtime::registry::NodeKind;
+use serde::Deserialize;
+
+use super::messages::Motion;
+use crate::models::quadrotor::{Attitude, Vector};
+
+/// The world that it looks at.
+pub const WORLD: Port<Motion> = Port::new("world");
+
+/// Standard deviations of the noise.
+#[derive(Tree, Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields, bound = "T: Deserialize<'de>, Parameters<T>: Default")]
+pub struct Parameters<T = f64> {
+    /// On each coordinate of the position, m.
+    pub position: T,
+    /// On each coordinate of the velocity, m/s.
+    pub velocity: T,
+    /// On each angle of the attitude, rad.
+    pub attitude: T,
+}
+
+impl Default for Parameters {
+    fn default() -> Self {
+        Self { position: 5e-4, velocity: 0.01, attitude: 2e-3 }
+    }
+}
+
+/// Motion capture.
+#[derive(Clone, Copy, Debug)]
+pub struct Mocap;
+
+/// The kind `quadrotor/mocap`.
+pub fn kind() -> NodeKind {
+    NodeKind::model::<Mocap>(|context| {
+        let parameters: Parameters = context.parameters()?;
+        for noise in [parameters.position, parameters.velocity, parameters.attitude] {
+            if !(noise >= 0.0 && noise.is_finite()) {
+                return Err(context.parameter_error(format!("a noise of {noise}; it must not be negative")));
+            }
+        }
+        Ok((parameters, ()))
+    })
+    .input(WORLD)
+}
+
+impl NodeModel for Mocap {
+    const NAME: &'static str = "mocap";
+    const NOISE: usize = 9;
+    type Params<T: Scalar> = Parameters<T>;
+    type State<T: Scalar> = ();
+    type Output<T: Scalar> = Motion<T>;
+
+    fn step<T: Scalar>(p: &Parameters<T>, (): (), step: &NodeStep<'_, T>) -> ((), Motion<T>) {
+        let Motion { position, velocity, attitude, stamp } = step.latest::<Motion<T>>(WORLD.name()).message;
+        let noisy = |x: Vector<T>, std: T, first: usize| Vector {
+            x: x.x + std * step.noise[first],
+            y: x.y + std * step.noise[first + 1],
+            z: x.z + std * step.noise[first + 2],
+        };
+        let position = noisy(position, p.position, 0);
+        let velocity = noisy(velocity, p.velocity, 3);
+        let attitude = Attitude {
+            roll: attitude.roll + p.attitude * step.noise[6],
+            pitch: attitude.pitch + p.attitude * step.noise[7],
+            yaw: attitude.yaw + p.attitude * step.noise[8],
+        };
+        ((), Motion { position, velocity, attitude, stamp })
+    }
+}
