@@ -198,7 +198,7 @@ impl<'a, S: RecordingSink> Run<'a, S> {
                 inbox: Inbox::new(graph, index),
                 node,
                 output: plan.kind.initial_message().into(),
-                computation: plan.computation.sampler(),
+                computation: plan.computation.sampler(&plan.kind.output().leaves),
                 random: stream(seed, Purpose::Computation, &plan.name),
                 alive: true,
                 scheduled: false,
@@ -207,7 +207,7 @@ impl<'a, S: RecordingSink> Run<'a, S> {
             });
         }
         let flights = graph.connections().iter().enumerate().map(|(index, plan)| Flight {
-            delay: plan.delay.sampler(),
+            delay: plan.delay.sampler(&[]),
             random: stream(seed, Purpose::Communication, &graph.connection_name(index)),
             stamps: VecDeque::with_capacity(plan.capacity),
             values: VecDeque::with_capacity(plan.capacity * plan.leaves),
@@ -292,7 +292,7 @@ impl<'a, S: RecordingSink> Run<'a, S> {
             return self.die(node, now, FaultKind::Failed { message: error.to_string() });
         }
         state.start = now;
-        let end = now.saturating_add(state.computation.sample(&mut state.random));
+        let end = now.saturating_add(state.computation.sample(&mut state.random, &state.output));
         let rank = self.graph.nodes()[node].rank as u32;
         self.queue.push(Event { time: end, class: Class::End, rank, seq, target: node as u32 });
         Ok(())
@@ -313,8 +313,8 @@ impl<'a, S: RecordingSink> Run<'a, S> {
         for &connection in &plan.outputs {
             let flight = &mut self.flights[connection];
             // Messages of one connection never overtake each other.
-            let arrival =
-                now.saturating_add(flight.delay.sample(&mut flight.random)).max(flight.last_arrival);
+            let delay = flight.delay.sample(&mut flight.random, &[]);
+            let arrival = now.saturating_add(delay).max(flight.last_arrival);
             flight.last_arrival = arrival;
             if arrival < self.duration {
                 flight.stamps.push_back((seq, now));

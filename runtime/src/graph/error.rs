@@ -71,6 +71,34 @@ pub enum GraphError {
         /// What is wrong with it.
         problem: &'static str,
     },
+    /// A node's computation delay follows from a leaf that its output does not have.
+    #[error(
+        "the computation delay of node `{node}` follows from the leaf `{leaf}`, which its output lacks{suggestion}; its \
+         leaves are {known}"
+    )]
+    DelayLeaf {
+        /// The node.
+        node: String,
+        /// The leaf.
+        leaf: String,
+        /// The nearest leaf.
+        suggestion: Suggestion,
+        /// All leaves of its output.
+        known: String,
+    },
+    /// A connection's delay cannot follow from an output.
+    #[error(
+        "the delay of connection {from} -> {to} follows from the output's leaf `{leaf}`; only a node's `computation` can \
+         do that. Put it there, or give the connection a distribution"
+    )]
+    DelayOfOutput {
+        /// The sender.
+        from: String,
+        /// The receiver.
+        to: String,
+        /// The leaf.
+        leaf: String,
+    },
     /// A connection names a node that does not exist.
     #[error("connection {from} -> {to}: there is no node `{name}`{suggestion}")]
     UnknownNode {

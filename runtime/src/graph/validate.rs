@@ -88,6 +88,17 @@ fn plan_nodes(spec: &GraphSpec, registry: &Registry) -> Result<Vec<NodePlan>, Gr
         if let Some(problem) = node.computation.problem() {
             return Err(GraphError::Delay { what: format!("computation delay of node `{name}`"), problem });
         }
+        if let Some(leaf) = node.computation.leaf()
+            && kind.output().leaf(leaf).is_none()
+        {
+            let leaves = || kind.output().leaves.iter().map(String::as_str);
+            return Err(GraphError::DelayLeaf {
+                node: name,
+                leaf: leaf.to_owned(),
+                suggestion: Suggestion::nearest(leaf, leaves()),
+                known: list(leaves()),
+            });
+        }
         nodes.push(NodePlan {
             name,
             kind: kind.clone(),
@@ -186,6 +197,10 @@ fn plan_connection(
     }
     if let Some(problem) = connection.delay.problem() {
         return Err(GraphError::Delay { what: format!("delay of connection {from} -> {to}"), problem });
+    }
+    if let Some(leaf) = connection.delay.leaf() {
+        let (from, to) = (from.clone(), to.clone());
+        return Err(GraphError::DelayOfOutput { from, to, leaf: leaf.to_owned() });
     }
     let expected = nodes[sender].computation.expected() + connection.delay.expected();
     Ok(ConnectionPlan {
