@@ -283,7 +283,7 @@ fn graphs_that_cannot_be() {
     wrong("window = 1", "window = 0", &["window"]);
 
     let folder = with_graph();
-    fail(&folder, &["sim", "gone.toml"], 2, &["gone.toml cannot be read", "or `pendulum`"]);
+    fail(&folder, &["sim", "gone.toml"], 2, &["gone.toml cannot be read", "pendulum-simulated"]);
 }
 
 #[test]

@@ -10,9 +10,6 @@ use serde_json::Value;
 
 use super::failure::{Failure, Sort};
 
-/// The name of the graph that comes with the program.
-const PENDULUM: &str = "pendulum";
-
 /// A positive number of seconds, as nanoseconds.
 pub(crate) fn duration(text: &str) -> Result<Nanos, String> {
     match text.parse::<f64>() {
@@ -77,8 +74,10 @@ impl NodeChange {
 
 /// The graph named or stored at `graph`, with changes.
 pub(crate) fn graph_spec(graph: &str, changes: &[NodeChange]) -> Result<GraphSpec, Failure> {
-    let mut spec =
-        if graph == PENDULUM { parallax_nodes::pendulum::graph() } else { read_graph(Path::new(graph))? };
+    let mut spec = match parallax_nodes::graph(graph) {
+        Some(spec) => spec,
+        None => read_graph(Path::new(graph))?,
+    };
     for change in changes {
         change.apply(&mut spec).map_err(Failure::input)?;
     }
@@ -88,7 +87,8 @@ pub(crate) fn graph_spec(graph: &str, changes: &[NodeChange]) -> Result<GraphSpe
 fn read_graph(path: &Path) -> Result<GraphSpec, Failure> {
     let text = std::fs::read_to_string(path)
         .with_context(|| {
-            format!("{} cannot be read; give the path of a graph.toml, or `{PENDULUM}`", path.display())
+            let names = parallax_nodes::GRAPHS.join(", ");
+            format!("{} cannot be read; give the path of a graph.toml, or one of: {names}", path.display())
         })
         .map_err(Failure::input)?;
     GraphSpec::from_toml(&text).with_context(|| path.display().to_string()).map_err(Failure::input)

@@ -17,7 +17,7 @@ use super::failure::{Failure, Outcome, Sort};
 
 #[derive(Args)]
 pub(crate) struct Arguments {
-    /// A recording (.mcap), a folder with recording.toml, a system.toml, a graph.toml, or `pendulum`.
+    /// A recording (.mcap), a folder with recording.toml, a system.toml, a graph.toml, or the name of a graph, such as `pendulum`.
     what: PathBuf,
     /// Print JSON.
     #[arg(long)]
@@ -58,7 +58,7 @@ fn kind(path: &Path) -> Result<Kind, Failure> {
         return Ok(if system_only { Kind::System } else { Kind::Folder });
     }
     if !path.exists() {
-        if path == Path::new("pendulum") {
+        if path.to_str().is_some_and(|name| parallax_nodes::GRAPHS.contains(&name)) {
             return Ok(Kind::Graph);
         }
         return Err(Failure::input(anyhow!("{} does not exist; check the path", path.display())));

@@ -14,7 +14,7 @@ use super::output;
 
 #[derive(Args)]
 pub(crate) struct Arguments {
-    /// A graph.toml, or `pendulum`.
+    /// A graph.toml, or `pendulum`, `pendulum-simulated` or `quadrotor-simulated`.
     graph: String,
     /// How long to run; without it, until Ctrl-C.
     #[arg(long, value_name = "SECONDS", value_parser = duration, allow_negative_numbers = true)]

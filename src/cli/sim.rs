@@ -17,7 +17,7 @@ use super::output;
 
 #[derive(Args)]
 pub(crate) struct Arguments {
-    /// A graph.toml, or `pendulum`.
+    /// A graph.toml, or `pendulum`, `pendulum-simulated` or `quadrotor-simulated`.
     graph: String,
     /// Simulated seconds.
     #[arg(long, value_name = "SECONDS", default_value = "20", value_parser = duration, allow_negative_numbers = true)]
