@@ -144,6 +144,17 @@ impl<'a, T: Scalar> NodeStep<'a, T> {
         Seen { message: M::read_from(self.inputs.payload(port, index)), inputs: self.inputs, port, index }
     }
 
+    /// One leaf of the newest message at `port`, by its place.
+    ///
+    /// # Panics
+    ///
+    /// When there is no such port or leaf: a mistake in the model itself.
+    #[inline(always)]
+    pub fn leaf(&self, port: &str, leaf: usize) -> T {
+        let port = self.find(port);
+        self.inputs.payload(port, self.inputs.window(port) - 1)[leaf]
+    }
+
     #[inline(always)]
     fn find(&self, port: &str) -> usize {
         match self.inputs.port(port) {

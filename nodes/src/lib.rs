@@ -1,8 +1,8 @@
 //! Ready-made models and nodes.
 //!
 //! [`models`] holds the mathematics of robots: pure functions generic over the scalar. [`pendulum`] and [`quadrotor`]
-//! are graphs of nodes around them, [`pid`] a controller for any graph. [`registry()`] names every kind of node and
-//! [`graph`] every graph.
+//! are graphs of nodes around them, [`pid`] is a controller for any graph, [`equations`] makes a node from a
+//! `system.toml`. [`registry()`] names every kind of node and [`graph`] every graph.
 //!
 //! ```
 //! use parallax_nodes::{pendulum, registry};
@@ -11,6 +11,7 @@
 //! assert_eq!(graph.nodes().len(), 5);
 //! ```
 
+pub mod equations;
 pub mod models;
 pub mod pendulum;
 pub mod pid;
