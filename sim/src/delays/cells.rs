@@ -69,6 +69,28 @@ impl Cells {
         (self.centre + self.scale * x) * 1e-9
     }
 
+    /// Neighbours joined at their mean, about `groups` in all: enough to find where a fit has to start.
+    pub(super) fn coarse(&self, groups: usize) -> Self {
+        let least = self.total / groups as f64;
+        let (mut x, mut count): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
+        for (index, (&position, &number)) in self.x.iter().zip(&self.count).enumerate() {
+            match (x.last_mut(), count.last_mut()) {
+                // What stands for everything below zero stays alone.
+                (Some(x), Some(count))
+                    if *count < least && number < least && !(self.clipped && index == 1) =>
+                {
+                    *x = (*x * *count + position * number) / (*count + number);
+                    *count += number;
+                }
+                _ => {
+                    x.push(position);
+                    count.push(number);
+                }
+            }
+        }
+        Self { x, count, ..self.clone() }
+    }
+
     /// The cells that are kept; `None` when none is.
     pub(super) fn filtered(&self, keep: &[bool]) -> Option<Self> {
         let pick = |values: &[f64]| -> Vec<f64> {

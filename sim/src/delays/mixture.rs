@@ -23,6 +23,8 @@ pub(super) const SUBSTANTIAL: f64 = 0.03;
 const FAR: f64 = 6.0;
 /// A component describes at least so many delays, and this share of them: fewer are no evidence of a shape.
 const LEAST: (f64, f64) = (8.0, 0.008);
+/// About so many groups of neighbouring delays stand for all of them until a candidate has nearly converged.
+const GROUPS: usize = 250;
 /// Iterations from each start, and from the best of them.
 const ITERATIONS: (usize, usize) = (12, 400);
 /// Gain in the logarithm of the likelihood per delay below which a candidate has converged, and the chosen one.
@@ -39,6 +41,7 @@ pub(super) struct Found {
 pub(super) fn find(cells: &Cells, most: usize) -> Found {
     let mut random = ChaCha8Rng::seed_from_u64(0x6465_6c61_7973);
     let least = LEAST.0.max(LEAST.1 * cells.total);
+    let coarse = cells.coarse(GROUPS);
     let mut best: Option<(f64, Mixture)> = None;
     let mut before: Option<Mixture> = None;
     let mut misses = 0;
@@ -46,7 +49,8 @@ pub(super) fn find(cells: &Cells, most: usize) -> Found {
         let mut winner: Option<(f64, Mixture)> = None;
         let mut better = false;
         for background in [None, Some(SUBSTANTIAL / 2.0)] {
-            let Some(mixture) = candidate(cells, count, background, before.as_ref(), &mut random) else {
+            let Some(mixture) = candidate((cells, &coarse), count, background, before.as_ref(), &mut random)
+            else {
                 continue;
             };
             if count > 1 && mixture.components.iter().any(|c| c.weight * cells.total < least) {
@@ -103,9 +107,9 @@ fn with_components(mut components: Vec<Component>, background: Option<f64>) -> M
     Mixture { components, background, log_likelihood: f64::NEG_INFINITY }
 }
 
-/// The best of several starts, fitted to convergence.
+/// The best of several starts on the joined cells, fitted to convergence on all.
 fn candidate(
-    cells: &Cells,
+    (all, cells): (&Cells, &Cells),
     count: usize,
     background: Option<f64>,
     before: Option<&Mixture>,
@@ -133,6 +137,7 @@ fn candidate(
     }
     if let Some(best) = &mut best {
         best.fit(cells, ITERATIONS.1, TOLERANCE.0);
+        best.fit(all, ITERATIONS.1, TOLERANCE.0);
     }
     best
 }
