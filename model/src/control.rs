@@ -16,6 +16,7 @@ use crate::tree::Tree;
 /// let (sum, squares) = scan(0.0, &[1.0, 2.0, 3.0], |sum, x| (sum + x, x * x));
 /// assert_eq!((sum, squares), (6.0, [1.0, 4.0, 9.0]));
 /// ```
+#[inline(always)]
 pub fn scan<T: Scalar, C: Tree<T>, X: Tree<T>, Y: Tree<T>, const N: usize>(
     carry: C,
     xs: &[X; N],
@@ -47,6 +48,7 @@ pub fn scan<T: Scalar, C: Tree<T>, X: Tree<T>, Y: Tree<T>, const N: usize>(
 ///
 /// assert_eq!(repeat(3, 1.0, |x| x * 2.0), 8.0);
 /// ```
+#[inline(always)]
 pub fn repeat<T: Scalar, C: Tree<T>>(times: usize, carry: C, mut step: impl FnMut(C) -> C) -> C {
     if T::STRUCTURED {
         let mut carried = carry.to_vec();
@@ -69,6 +71,7 @@ pub fn repeat<T: Scalar, C: Tree<T>>(times: usize, carry: C, mut step: impl FnMu
 ///
 /// assert_eq!(map(&[1.0, 2.0], |x| x * x), [1.0, 4.0]);
 /// ```
+#[inline(always)]
 pub fn map<T: Scalar, X: Tree<T>, Y: Tree<T>, const N: usize>(
     xs: &[X; N],
     mut body: impl FnMut(&X) -> Y,
@@ -88,6 +91,7 @@ pub fn map<T: Scalar, X: Tree<T>, Y: Tree<T>, const N: usize>(
 ///
 /// assert_eq!(call("double", 2.0, |x: f64| x * 2.0), 4.0);
 /// ```
+#[inline(always)]
 pub fn call<T: Scalar, X: Tree<T>, Y: Tree<T>>(name: &str, x: X, body: impl FnOnce(X) -> Y) -> Y {
     if T::STRUCTURED {
         let mut ys = vec![T::constant(0.0); Y::LEAVES];

@@ -17,6 +17,7 @@ use crate::tree::Tree;
 /// let x = rk4(|x: &f64| -x, 1.0, 0.1);
 /// assert!((x - (-0.1f64).exp()).abs() < 1e-7);
 /// ```
+#[inline(always)]
 pub fn rk4<T: Scalar, X: Tree<T>>(f: impl Fn(&X) -> X, x: X, dt: T) -> X {
     // Only a traced program keeps the call; on numbers this is `f(&x)`.
     let slope = |x: X| call::<T, X, X>("derivative", x, |x| f(&x));
@@ -36,6 +37,7 @@ pub fn rk4<T: Scalar, X: Tree<T>>(f: impl Fn(&X) -> X, x: X, dt: T) -> X {
 /// # Panics
 ///
 /// When `steps` is zero.
+#[inline(always)]
 pub fn rk4_steps<T: Scalar, X: Tree<T>>(f: impl Fn(&X) -> X, x: X, dt: T, steps: usize) -> X {
     assert!(steps > 0, "rk4_steps needs at least one step");
     let dt = dt / steps as f64;
@@ -43,7 +45,7 @@ pub fn rk4_steps<T: Scalar, X: Tree<T>>(f: impl Fn(&X) -> X, x: X, dt: T, steps:
 }
 
 /// `x + slope · dt`
-#[inline]
+#[inline(always)]
 fn along<T: Scalar, X: Tree<T>>(x: &X, slope: &X, dt: T) -> X {
     x.zip(slope, &mut |x, slope| x + slope * dt)
 }

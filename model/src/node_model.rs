@@ -37,10 +37,11 @@
 //! assert_eq!(program.outputs(), ["output.angle"]);
 //! ```
 
+use std::any::Any;
 use std::fmt;
 use std::marker::PhantomData;
 
-use crate::lanes::{F32x32, F64x16, Kernel, Level};
+use crate::lanes::{F32x32, F64x16, InMemory, Kernel, Level, Simd};
 use crate::program::{Program, Workspace};
 use crate::scalar::Scalar;
 use crate::trace::{Traced, trace_fn};
@@ -218,17 +219,35 @@ pub struct PortShape {
 }
 
 /// Memory that steps need, kept between them so that only the first one allocates.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Scratch<T: Scalar> {
     /// For models that evaluate programs.
     pub workspace: Workspace<T>,
     /// Free for the model's use; what it holds between steps has no meaning.
     pub values: Vec<T>,
+    /// The scratch of the registers that stand for `T` in a kernel.
+    registers: Option<Box<dyn Any + Send + Sync>>,
+}
+
+impl<T: Scalar> Scratch<T> {
+    fn of_registers<R: Scalar<Mask: Send + Sync> + Send + Sync>(&mut self) -> &mut Scratch<R> {
+        if !self.registers.as_ref().is_some_and(|scratch| scratch.is::<Scratch<R>>()) {
+            self.registers = Some(Box::new(Scratch::<R>::default()));
+        }
+        let scratch = self.registers.as_mut().and_then(|scratch| scratch.downcast_mut());
+        scratch.expect("it was just put there")
+    }
 }
 
 impl<T: Scalar> Default for Scratch<T> {
     fn default() -> Self {
-        Self { workspace: Workspace::new(), values: Vec::new() }
+        Self { workspace: Workspace::new(), values: Vec::new(), registers: None }
+    }
+}
+
+impl<T: Scalar> Clone for Scratch<T> {
+    fn clone(&self) -> Self {
+        Self { workspace: self.workspace.clone(), values: self.values.clone(), registers: None }
     }
 }
 
@@ -380,11 +399,46 @@ struct StepKernel<'a, 'b, M, T: Scalar> {
     output: &'a mut [T],
 }
 
-impl<M: FlatModel, T: Scalar> Kernel for StepKernel<'_, '_, M, T> {
+impl<M: FlatModel, T: InMemory> Kernel for StepKernel<'_, '_, M, T> {
     type Output = ();
     #[inline(always)]
-    fn run(self) {
-        self.model.step(self.params, self.state, self.step, self.scratch, self.output);
+    fn run<S: Simd>(self) {
+        let NodeStep { seq, due, start, noise, inputs } = self.step;
+        let times = [T::load::<S>(seq), T::load::<S>(due), T::load::<S>(start)];
+        let inputs = RegisterInputs::<T, S> { inputs: *inputs, registers: PhantomData };
+        let step = NodeStep::new(times, T::registers::<S>(noise), &inputs);
+        self.model.step::<T::On<S>>(
+            T::registers::<S>(self.params),
+            T::registers_mut::<S>(self.state),
+            &step,
+            self.scratch.of_registers(),
+            T::registers_mut::<S>(self.output),
+        );
+    }
+}
+
+/// The inputs of lanes in memory, read as registers.
+struct RegisterInputs<'a, T, S> {
+    inputs: &'a dyn StepInputs<T>,
+    registers: PhantomData<S>,
+}
+
+impl<S: Simd, T: InMemory> StepInputs<T::On<S>> for RegisterInputs<'_, T, S> {
+    #[inline(always)]
+    fn port(&self, name: &str) -> Option<usize> {
+        self.inputs.port(name)
+    }
+    #[inline(always)]
+    fn window(&self, port: usize) -> usize {
+        self.inputs.window(port)
+    }
+    #[inline(always)]
+    fn stamp(&self, port: usize, index: usize) -> [T::On<S>; 3] {
+        self.inputs.stamp(port, index).map(|stamp| T::load::<S>(&stamp))
+    }
+    #[inline(always)]
+    fn payload(&self, port: usize, index: usize) -> &[T::On<S>] {
+        T::registers::<S>(self.inputs.payload(port, index))
     }
 }
 

@@ -155,6 +155,13 @@ pub trait Scalar:
         let _ = name;
         body(xs, ys);
     }
+
+    /// Runs `work` on the instructions that this number computes with: what is inlined into `work` is compiled for them.
+    /// Only lanes have any of their own.
+    #[inline(always)]
+    fn compiled<R>(work: impl FnOnce() -> R) -> R {
+        work()
+    }
 }
 
 /// How many of `count` numbers belong to each of `length` steps.

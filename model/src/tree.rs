@@ -96,7 +96,7 @@ pub trait Tree<T>: Sized {
     /// # Panics
     ///
     /// When `out` does not hold exactly [`Tree::LEAVES`] values.
-    #[inline]
+    #[inline(always)]
     fn write_to(&self, out: &mut [T]) {
         assert_eq!(out.len(), Self::LEAVES, "a slice of this length cannot hold the tree's leaves");
         let mut slots = out.iter_mut();
@@ -121,7 +121,7 @@ pub trait Tree<T>: Sized {
     /// # Panics
     ///
     /// When `leaves` does not hold exactly [`Tree::LEAVES`] values.
-    #[inline]
+    #[inline(always)]
     fn read_from(leaves: &[T]) -> Self
     where
         T: Copy,
@@ -173,15 +173,15 @@ impl<T: Scalar> Tree<T> for T {
     fn names(prefix: &str, out: &mut Vec<String>) {
         out.push(if prefix.is_empty() { "value".to_owned() } else { prefix.to_owned() });
     }
-    #[inline]
+    #[inline(always)]
     fn visit(&self, leaf: &mut impl FnMut(T)) {
         leaf(*self);
     }
-    #[inline]
+    #[inline(always)]
     fn build(next: &mut impl FnMut() -> T) -> Self {
         next()
     }
-    #[inline]
+    #[inline(always)]
     fn zip(&self, other: &Self, combine: &mut impl FnMut(T, T) -> T) -> Self {
         combine(*self, *other)
     }
@@ -196,17 +196,17 @@ impl<T: Scalar, E: Tree<T>, const N: usize> Tree<T> for [E; N] {
             E::names(&format!("{array}_{index}"), out);
         }
     }
-    #[inline]
+    #[inline(always)]
     fn visit(&self, leaf: &mut impl FnMut(T)) {
         for element in self {
             element.visit(leaf);
         }
     }
-    #[inline]
+    #[inline(always)]
     fn build(next: &mut impl FnMut() -> T) -> Self {
         std::array::from_fn(|_| E::build(next))
     }
-    #[inline]
+    #[inline(always)]
     fn zip(&self, other: &Self, combine: &mut impl FnMut(T, T) -> T) -> Self {
         std::array::from_fn(|index| self[index].zip(&other[index], combine))
     }
@@ -217,8 +217,11 @@ impl<T: Scalar> Tree<T> for () {
     const LEAVES: usize = 0;
 
     fn names(_prefix: &str, _out: &mut Vec<String>) {}
+    #[inline(always)]
     fn visit(&self, _leaf: &mut impl FnMut(T)) {}
+    #[inline(always)]
     fn build(_next: &mut impl FnMut() -> T) -> Self {}
+    #[inline(always)]
     fn zip(&self, _other: &Self, _combine: &mut impl FnMut(T, T) -> T) -> Self {}
 }
 
@@ -227,10 +230,13 @@ impl<T: Scalar> Tree<T> for PhantomData<T> {
     const LEAVES: usize = 0;
 
     fn names(_prefix: &str, _out: &mut Vec<String>) {}
+    #[inline(always)]
     fn visit(&self, _leaf: &mut impl FnMut(T)) {}
+    #[inline(always)]
     fn build(_next: &mut impl FnMut() -> T) -> Self {
         PhantomData
     }
+    #[inline(always)]
     fn zip(&self, _other: &Self, _combine: &mut impl FnMut(T, T) -> T) -> Self {
         PhantomData
     }
@@ -244,16 +250,16 @@ impl<T: Scalar, A: Tree<T>, B: Tree<T>> Tree<T> for (A, B) {
         A::names(&join(prefix, "first"), out);
         B::names(&join(prefix, "second"), out);
     }
-    #[inline]
+    #[inline(always)]
     fn visit(&self, leaf: &mut impl FnMut(T)) {
         self.0.visit(leaf);
         self.1.visit(leaf);
     }
-    #[inline]
+    #[inline(always)]
     fn build(next: &mut impl FnMut() -> T) -> Self {
         (A::build(next), B::build(next))
     }
-    #[inline]
+    #[inline(always)]
     fn zip(&self, other: &Self, combine: &mut impl FnMut(T, T) -> T) -> Self {
         (self.0.zip(&other.0, combine), self.1.zip(&other.1, combine))
     }

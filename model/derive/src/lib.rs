@@ -72,19 +72,19 @@ fn expand(input: &DeriveInput) -> Result<TokenStream> {
                 #(#trees::names(&::parallax_model::tree::join(prefix, #labels), out);)*
             }
 
-            #[inline]
+            #[inline(always)]
             fn visit(&self, leaf: &mut impl ::core::ops::FnMut(#leaf)) {
                 let _ = &leaf;
                 #(#trees::visit(&self.#idents, leaf);)*
             }
 
-            #[inline]
+            #[inline(always)]
             fn build(next: &mut impl ::core::ops::FnMut() -> #leaf) -> Self {
                 let _ = &next;
                 Self { #(#idents: #trees::build(next),)* }
             }
 
-            #[inline]
+            #[inline(always)]
             fn zip(&self, other: &Self, combine: &mut impl ::core::ops::FnMut(#leaf, #leaf) -> #leaf) -> Self {
                 let _ = (other, &combine);
                 Self { #(#idents: #trees::zip(&self.#idents, &other.#idents, combine),)* }

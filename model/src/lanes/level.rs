@@ -1,32 +1,103 @@
-//! One kernel, compiled for every instruction set of the machine and chosen at run time.
+//! One kernel, compiled for every instruction set of the architecture and chosen at run time.
 
-/// A piece of work that [`Level::run`] compiles once for every instruction set.
-///
-/// The trap: only what is inlined into `run` is compiled for the wider instructions. Mark `run` and the functions that
-/// it calls in its hot loops `#[inline(always)]`; a call that stays a call runs on the baseline's instructions. That is
-/// still correct, and the results have the same bits on every level.
+use std::fmt::Debug;
+
+use super::{F32x32, F64x16};
+use crate::scalar::Scalar;
+
+/// The registers of an instruction set, in which a [`Kernel`] computes. Only [`Level::run`] hands them out.
+pub trait Simd: Copy + Debug + Send + Sync + 'static {
+    /// [`F64x16`] in registers.
+    type F64x16: Scalar<Mask: Send + Sync> + Send + Sync;
+    /// [`F32x32`] in registers.
+    type F32x32: Scalar<Mask: Send + Sync> + Send + Sync;
+}
+
+/// Lanes in memory, which a kernel reads as registers.
 ///
 /// ```
-/// use parallax_model::lanes::{F64x16, Kernel, Level};
+/// use parallax_model::lanes::{F64x16, InMemory, Kernel, Level, Simd};
 ///
-/// struct Sum<'a>(&'a [F64x16]);
+/// /// Adds one list to another; lanes of either precision.
+/// struct Accumulate<'a, T>(&'a mut [T], &'a [T]);
 ///
-/// impl Kernel for Sum<'_> {
-///     type Output = F64x16;
+/// impl<T: InMemory> Kernel for Accumulate<'_, T> {
+///     type Output = ();
 ///     #[inline(always)]
-///     fn run(self) -> F64x16 {
-///         self.0.iter().fold(F64x16::splat(0.0), |sum, x| sum + *x)
+///     fn run<S: Simd>(self) {
+///         for (sum, x) in T::registers_mut::<S>(self.0).iter_mut().zip(T::registers::<S>(self.1)) {
+///             *sum += *x;
+///         }
 ///     }
 /// }
 ///
-/// let sum = Level::widest().run(Sum(&[F64x16::splat(1.0), F64x16::splat(2.0)]));
-/// assert_eq!(sum, F64x16::splat(3.0));
+/// let mut sums = [F64x16::splat(1.0)];
+/// Level::widest().run(Accumulate(&mut sums, &[F64x16::splat(2.0)]));
+/// assert_eq!(sums[0], F64x16::splat(3.0));
 /// ```
+pub trait InMemory: Scalar {
+    /// The same lanes in registers.
+    type On<S: Simd>: Scalar<Mask: Send + Sync> + Send + Sync;
+
+    /// The same numbers, to be read as registers.
+    fn registers<S: Simd>(lanes: &[Self]) -> &[Self::On<S>];
+
+    /// The same numbers, to be read and written as registers.
+    fn registers_mut<S: Simd>(lanes: &mut [Self]) -> &mut [Self::On<S>];
+
+    /// One number for each lane, as registers.
+    #[inline(always)]
+    fn load<S: Simd>(lanes: &Self) -> Self::On<S> {
+        Self::registers::<S>(std::slice::from_ref(lanes))[0]
+    }
+
+    /// Puts registers into memory.
+    #[inline(always)]
+    fn store<S: Simd>(lanes: &mut Self, value: Self::On<S>) {
+        Self::registers_mut::<S>(std::slice::from_mut(lanes))[0] = value;
+    }
+}
+
+macro_rules! in_memory {
+    ($lanes:ident) => {
+        impl InMemory for $lanes {
+            type On<S: Simd> = S::$lanes;
+
+            #[inline(always)]
+            fn registers<S: Simd>(lanes: &[Self]) -> &[S::$lanes] {
+                const { assert!(same_layout::<$lanes, S::$lanes>()) };
+                // SAFETY: both are the same numbers one after the other, without padding, equally aligned; every
+                // pattern of bits is a number.
+                unsafe { std::slice::from_raw_parts(lanes.as_ptr().cast(), lanes.len()) }
+            }
+            #[inline(always)]
+            fn registers_mut<S: Simd>(lanes: &mut [Self]) -> &mut [S::$lanes] {
+                const { assert!(same_layout::<$lanes, S::$lanes>()) };
+                // SAFETY: as above; the borrow is passed on.
+                unsafe { std::slice::from_raw_parts_mut(lanes.as_mut_ptr().cast(), lanes.len()) }
+            }
+        }
+    };
+}
+
+in_memory!(F64x16);
+in_memory!(F32x32);
+
+const fn same_layout<A, B>() -> bool {
+    size_of::<A>() == size_of::<B>() && align_of::<A>() == align_of::<B>()
+}
+
+/// A piece of work that [`Level::run`] compiles once for every instruction set. See [`InMemory`] for an example.
+///
+/// The trap: only what is inlined into `run` is compiled for the wide instructions. Mark `run` and the functions that
+/// it calls in its hot loops `#[inline(always)]`. In a function that stays a call, every operation on registers is a
+/// call as well: the results have the same bits, but it is several times slower. A function that cannot be inlined, such
+/// as a recursive one, wraps its body in [`Scalar::compiled`].
 pub trait Kernel {
     /// What the work gives.
     type Output;
     /// Does the work. Mark it `#[inline(always)]`.
-    fn run(self) -> Self::Output;
+    fn run<S: Simd>(self) -> Self::Output;
 }
 
 /// A set of vector instructions.
@@ -44,19 +115,16 @@ impl Level {
     /// Every level, from the narrowest.
     pub const ALL: [Level; 3] = [Level::Baseline, Level::Avx2, Level::Avx512];
 
-    /// The widest level that this machine has. Asked once; afterwards one atomic load.
+    /// The widest level that this machine has. Asked once; afterwards an atomic load.
     #[inline]
     pub fn widest() -> Level {
-        #[cfg(target_arch = "x86_64")]
-        {
-            if Level::Avx512.is_available() {
-                return Level::Avx512;
-            }
-            if Level::Avx2.is_available() {
-                return Level::Avx2;
-            }
+        if Level::Avx512.is_available() {
+            Level::Avx512
+        } else if Level::Avx2.is_available() {
+            Level::Avx2
+        } else {
+            Level::Baseline
         }
-        Level::Baseline
     }
 
     /// Whether this machine has the level's instructions.
@@ -79,32 +147,37 @@ impl Level {
         }
     }
 
-    /// Runs a kernel on this level's instructions, or on the baseline's where the machine lacks them.
+    /// Runs a kernel on this level's instructions, or on the baseline's where the machine lacks them. The results have
+    /// the same bits on every level.
+    #[cfg(target_arch = "x86_64")]
     #[inline]
     pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
-        #[cfg(target_arch = "x86_64")]
-        {
-            if self == Level::Avx512 && self.is_available() {
-                // SAFETY: the machine has the instructions.
-                return unsafe { run_avx512(kernel) };
-            }
-            if self == Level::Avx2 && self.is_available() {
-                // SAFETY: the machine has the instructions.
-                return unsafe { run_avx2(kernel) };
-            }
+        use super::x86::{Avx2, Avx512, Sse2, compiled_avx2, compiled_avx512};
+        match self {
+            // SAFETY: the machine has the instructions.
+            Level::Avx512 if self.is_available() => unsafe { compiled_avx512(|| kernel.run::<Avx512>()) },
+            // SAFETY: the machine has the instructions.
+            Level::Avx2 if self.is_available() => unsafe { compiled_avx2(|| kernel.run::<Avx2>()) },
+            _ => kernel.run::<Sse2>(),
         }
-        kernel.run()
+    }
+
+    /// Runs a kernel on this level's instructions, or on the baseline's where the machine lacks them. The results have
+    /// the same bits on every level.
+    #[cfg(not(target_arch = "x86_64"))]
+    #[inline]
+    pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
+        kernel.run::<Portable>()
     }
 }
 
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn run_avx2<K: Kernel>(kernel: K) -> K::Output {
-    kernel.run()
-}
+/// Arrays, left to the compiler.
+#[cfg(not(target_arch = "x86_64"))]
+#[derive(Clone, Copy, Debug)]
+struct Portable;
 
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx512f,avx512bw,avx512cd,avx512dq,avx512vl")]
-fn run_avx512<K: Kernel>(kernel: K) -> K::Output {
-    kernel.run()
+#[cfg(not(target_arch = "x86_64"))]
+impl Simd for Portable {
+    type F64x16 = F64x16;
+    type F32x32 = F32x32;
 }

@@ -1,99 +1,172 @@
 //! Lanes as a [`Scalar`].
 
+use std::fmt;
 use std::ops::{Add, BitAnd, BitOr, Div, Mul, Neg, Not, Sub};
 
-use super::{Element, Lanes};
+use super::vector::Vector;
+use super::{Element, Lanes, functions};
 use crate::scalar::{Scalar, assign_operators};
 
 /// One truth value for each lane.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Mask<const N: usize>(pub [bool; N]);
+#[derive(Clone, Copy)]
+pub struct Mask<V: Vector, const K: usize>([V::Mask; K]);
 
-impl<const N: usize> BitAnd for Mask<N> {
-    type Output = Self;
-    #[inline(always)]
-    fn bitand(self, other: Self) -> Self {
-        Self(std::array::from_fn(|lane| self.0[lane] & other.0[lane]))
+impl<V: Vector, const K: usize> Mask<V, K> {
+    /// The truth values, register by register.
+    pub fn registers(&self) -> &[V::Mask; K] {
+        &self.0
     }
 }
 
-impl<const N: usize> BitOr for Mask<N> {
-    type Output = Self;
-    #[inline(always)]
-    fn bitor(self, other: Self) -> Self {
-        Self(std::array::from_fn(|lane| self.0[lane] | other.0[lane]))
+impl<V: Vector, const K: usize> fmt::Debug for Mask<V, K> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Mask").field(&self.0).finish()
     }
 }
 
-impl<const N: usize> Not for Mask<N> {
+impl<V: Vector, const K: usize> BitAnd for Mask<V, K> {
     type Output = Self;
     #[inline(always)]
-    fn not(self) -> Self {
-        Self(self.0.map(|lane| !lane))
+    fn bitand(mut self, other: Self) -> Self {
+        for k in 0..K {
+            self.0[k] = V::and(self.0[k], other.0[k]);
+        }
+        self
+    }
+}
+
+impl<V: Vector, const K: usize> BitOr for Mask<V, K> {
+    type Output = Self;
+    #[inline(always)]
+    fn bitor(mut self, other: Self) -> Self {
+        for k in 0..K {
+            self.0[k] = V::or(self.0[k], other.0[k]);
+        }
+        self
+    }
+}
+
+impl<V: Vector, const K: usize> Not for Mask<V, K> {
+    type Output = Self;
+    #[inline(always)]
+    fn not(mut self) -> Self {
+        for k in 0..K {
+            self.0[k] = V::not(self.0[k]);
+        }
+        self
     }
 }
 
 macro_rules! operator {
-    ($operator:ident, $method:ident, $sign:tt) => {
-        impl<F: Element, const N: usize> $operator for Lanes<F, N> {
+    ($operator:ident, $method:ident) => {
+        impl<V: Vector, const K: usize> $operator for Lanes<V, K> {
             type Output = Self;
             #[inline(always)]
             fn $method(self, other: Self) -> Self {
-                Self::from_fn(|lane| self.0[lane] $sign other.0[lane])
+                self.zip(other, V::$method)
             }
         }
 
-        impl<F: Element, const N: usize> $operator<f64> for Lanes<F, N> {
+        impl<V: Vector, const K: usize> $operator<f64> for Lanes<V, K> {
             type Output = Self;
             #[inline(always)]
             fn $method(self, other: f64) -> Self {
-                let other = F::from_f64(other);
-                Self::from_fn(|lane| self.0[lane] $sign other)
+                self.zip(Self::constant(other), V::$method)
             }
         }
     };
 }
 
-operator!(Add, add, +);
-operator!(Sub, sub, -);
-operator!(Mul, mul, *);
-operator!(Div, div, /);
-assign_operators!([F: Element, const N: usize] Lanes<F, N>);
+operator!(Add, add);
+operator!(Sub, sub);
+operator!(Mul, mul);
+operator!(Div, div);
+assign_operators!([V: Vector, const K: usize] Lanes<V, K>);
 
-impl<F: Element, const N: usize> Neg for Lanes<F, N> {
+impl<V: Vector, const K: usize> Neg for Lanes<V, K> {
     type Output = Self;
     #[inline(always)]
     fn neg(self) -> Self {
-        Self::from_fn(|lane| -self.0[lane])
+        self.map(V::neg)
     }
 }
 
-impl<F: Element, const N: usize> Lanes<F, N> {
+impl<V: Vector, const K: usize> Lanes<V, K> {
+    #[inline(always)]
+    fn map(mut self, function: impl Fn(V) -> V) -> Self {
+        for k in 0..K {
+            self.0[k] = function(self.0[k]);
+        }
+        self
+    }
+
+    #[inline(always)]
+    fn zip(mut self, other: Self, function: impl Fn(V, V) -> V) -> Self {
+        for k in 0..K {
+            self.0[k] = function(self.0[k], other.0[k]);
+        }
+        self
+    }
+
+    #[inline(always)]
+    fn compare(self, other: Self, holds: impl Fn(V, V) -> V::Mask) -> Mask<V, K> {
+        let mut mask = [holds(self.0[0], other.0[0]); K];
+        for k in 1..K {
+            mask[k] = holds(self.0[k], other.0[k]);
+        }
+        Mask(mask)
+    }
+
     /// A function of doubles, lane by lane.
     #[inline(always)]
     fn each(self, function: impl Fn(f64) -> f64) -> Self {
-        Self::from_fn(|lane| F::from_f64(function(self.0[lane].to_f64())))
+        self.map(|x| x.each(|x| V::Element::from_f64(function(x.to_f64()))))
+    }
+
+    /// A function of angles: `near` on all lanes, or `exact` lane by lane if one angle is too large for it.
+    #[inline(always)]
+    fn circular(self, near: impl Fn(V) -> V, exact: fn(f64) -> f64) -> Self {
+        let mut on_circle = functions::on_circle(self.0[0]);
+        for k in 1..K {
+            on_circle = V::and(on_circle, functions::on_circle(self.0[k]));
+        }
+        let result = self.map(near);
+        if V::all(on_circle) { result } else { large_angles(self, result, exact) }
     }
 }
 
-impl<F: Element, const N: usize> Scalar for Lanes<F, N> {
-    type Mask = Mask<N>;
+/// `exact` in the lanes whose angles are too large; `near` in the others, so that lanes do not mix.
+#[cold]
+#[inline(never)]
+fn large_angles<V: Vector, const K: usize>(
+    x: Lanes<V, K>,
+    near: Lanes<V, K>,
+    exact: fn(f64) -> f64,
+) -> Lanes<V, K> {
+    x.zip(near, |x, near| {
+        x.each_pair(near, |x, near| {
+            if functions::on_circle(x) { near } else { V::Element::from_f64(exact(x.to_f64())) }
+        })
+    })
+}
 
+impl<V: Vector, const K: usize> Scalar for Lanes<V, K> {
+    type Mask = Mask<V, K>;
     #[inline(always)]
     fn constant(value: f64) -> Self {
-        Self::splat(F::from_f64(value))
+        Self([V::splat(V::Element::from_f64(value)); K])
     }
     #[inline(always)]
     fn sin(self) -> Self {
-        self.each(f64::sin)
+        self.circular(functions::sin, f64::sin)
     }
     #[inline(always)]
     fn cos(self) -> Self {
-        self.each(f64::cos)
+        self.circular(functions::cos, f64::cos)
     }
     #[inline(always)]
     fn tan(self) -> Self {
-        self.each(f64::tan)
+        self.circular(functions::tan, f64::tan)
     }
     #[inline(always)]
     fn asin(self) -> Self {
@@ -109,66 +182,103 @@ impl<F: Element, const N: usize> Scalar for Lanes<F, N> {
     }
     #[inline(always)]
     fn atan2(self, x: Self) -> Self {
-        Self::from_fn(|lane| F::from_f64(self.0[lane].to_f64().atan2(x.0[lane].to_f64())))
+        self.zip(x, |y, x| y.each_pair(x, |y, x| V::Element::from_f64(y.to_f64().atan2(x.to_f64()))))
     }
     #[inline(always)]
     fn exp(self) -> Self {
-        self.each(f64::exp)
+        self.map(functions::exp)
     }
     #[inline(always)]
     fn ln(self) -> Self {
-        self.each(f64::ln)
+        self.map(functions::ln)
     }
     #[inline(always)]
     fn sqrt(self) -> Self {
-        Self::from_fn(|lane| self.0[lane].sqrt())
+        self.map(V::sqrt)
     }
     #[inline(always)]
     fn tanh(self) -> Self {
-        self.each(f64::tanh)
+        self.map(functions::tanh)
     }
     #[inline(always)]
     fn powf(self, exponent: Self) -> Self {
-        Self::from_fn(|lane| F::from_f64(self.0[lane].to_f64().powf(exponent.0[lane].to_f64())))
-    }
-    #[inline(always)]
-    fn powi(self, exponent: i32) -> Self {
-        Self::from_fn(|lane| self.0[lane].powi(exponent))
-    }
-    #[inline(always)]
-    fn abs(self) -> Self {
-        Self::from_fn(|lane| self.0[lane].abs())
-    }
-    #[inline(always)]
-    fn sign(self) -> Self {
-        let (zero, one) = (F::from_f64(0.0), F::from_f64(1.0));
-        // A number that is not one stays what it is, as with `f64::signum`.
-        Self::from_fn(|lane| {
-            let x = self.0[lane];
-            let down = if x < zero { -one } else { x };
-            let up = if x > zero { one } else { down };
-            if x == zero { zero } else { up }
+        self.zip(exponent, |x, exponent| {
+            x.each_pair(exponent, |x, exponent| V::Element::from_f64(x.to_f64().powf(exponent.to_f64())))
         })
     }
     #[inline(always)]
+    fn powi(self, exponent: i32) -> Self {
+        // By squaring: the compiler's own `powi` leaves the order of the products open.
+        let mut rest = exponent.unsigned_abs();
+        let mut square = self;
+        let mut product = Self::constant(1.0);
+        while rest != 0 {
+            if rest & 1 == 1 {
+                product = product * square;
+            }
+            rest >>= 1;
+            if rest != 0 {
+                square = square * square;
+            }
+        }
+        if exponent < 0 { Self::constant(1.0) / product } else { product }
+    }
+    #[inline(always)]
+    fn abs(self) -> Self {
+        self.map(V::abs)
+    }
+    #[inline(always)]
+    fn sign(self) -> Self {
+        self.map(functions::sign)
+    }
+    #[inline(always)]
     fn floor(self) -> Self {
-        Self::from_fn(|lane| self.0[lane].floor())
+        self.map(V::floor)
     }
 
     #[inline(always)]
-    fn lt(self, other: Self) -> Mask<N> {
-        Mask(std::array::from_fn(|lane| self.0[lane] < other.0[lane]))
+    fn lt(self, other: Self) -> Mask<V, K> {
+        self.compare(other, V::lt)
     }
     #[inline(always)]
-    fn le(self, other: Self) -> Mask<N> {
-        Mask(std::array::from_fn(|lane| self.0[lane] <= other.0[lane]))
+    fn le(self, other: Self) -> Mask<V, K> {
+        self.compare(other, V::le)
     }
     #[inline(always)]
-    fn eq(self, other: Self) -> Mask<N> {
-        Mask(std::array::from_fn(|lane| self.0[lane] == other.0[lane]))
+    fn eq(self, other: Self) -> Mask<V, K> {
+        self.compare(other, V::eq)
     }
     #[inline(always)]
-    fn select(mask: Mask<N>, then: Self, otherwise: Self) -> Self {
-        Self::from_fn(|lane| if mask.0[lane] { then.0[lane] } else { otherwise.0[lane] })
+    fn gt(self, other: Self) -> Mask<V, K> {
+        self.compare(other, |a, b| b.lt(a))
+    }
+    #[inline(always)]
+    fn ge(self, other: Self) -> Mask<V, K> {
+        self.compare(other, |a, b| b.le(a))
+    }
+    #[inline(always)]
+    fn select(mask: Mask<V, K>, then: Self, otherwise: Self) -> Self {
+        let mut result = otherwise;
+        for k in 0..K {
+            result.0[k] = V::select(mask.0[k], then.0[k], otherwise.0[k]);
+        }
+        result
+    }
+    #[inline(always)]
+    fn min(self, other: Self) -> Self {
+        self.zip(other, |a, b| V::select(a.lt(b), a, b))
+    }
+    #[inline(always)]
+    fn max(self, other: Self) -> Self {
+        self.zip(other, |a, b| V::select(b.lt(a), a, b))
+    }
+    #[inline(always)]
+    fn clamp(self, low: Self, high: Self) -> Self {
+        self.max(low).min(high)
+    }
+
+    #[inline(always)]
+    fn compiled<R>(work: impl FnOnce() -> R) -> R {
+        V::compiled(work)
     }
 }
