@@ -1,0 +1,47 @@
+"""Robots as graphs of nodes, from Python.
+
+`load` reads a recording as numpy arrays; `System` turns a `system.toml`, and `models` the ready-made models, into JAX
+functions; `Graph` holds a graph, generates schedules for it and compiles it to pure functions that work under `jit`,
+`vmap`, `grad` and `scan`.
+
+Times are seconds since the run's start, in SI units throughout, unless a name ends in `_ns`.
+"""
+
+from ._native import ParallaxError, __version__
+from .cache import use_compilation_cache
+from .compiled import CompiledGraph, GraphState, Observation
+from .delays import TrainableDelay
+from .graph import Episodes, Graph
+from .model import Model, models
+from .nodes import Message, ModelNode, Node, Port, Step, Window
+from .program import Program
+from .recording import NodeTrack, PortTrack, Recording, load
+from .system import System
+from .tables import Tables
+
+__all__ = [
+    "CompiledGraph",
+    "Episodes",
+    "Graph",
+    "GraphState",
+    "Message",
+    "Model",
+    "ModelNode",
+    "Node",
+    "NodeTrack",
+    "Observation",
+    "ParallaxError",
+    "Port",
+    "PortTrack",
+    "Program",
+    "Recording",
+    "Step",
+    "System",
+    "Tables",
+    "TrainableDelay",
+    "Window",
+    "__version__",
+    "load",
+    "models",
+    "use_compilation_cache",
+]

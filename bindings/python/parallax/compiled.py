@@ -1,0 +1,499 @@
+"""A graph, compiled: pure functions that step it along recorded or generated schedules.
+
+`init`, `reset`, `step` and `rollout` work under `jit`, `vmap`, `grad` and `scan`. What they carry is small: every
+node's state, the last outputs that somebody still reads, a step counter, an episode index and a random key. When each
+node runs and what it consumes stands in `CompiledGraph.tables`, which is not carried: hand it to a jitted function as an
+argument (`tables=...`), so that it does not become a literal in the program.
+
+One supervisor step is one pass through the *slots*: places that steps of the nodes fill, in an order in which every
+schedule can run them. A slot that no step fills in some pass leaves its node as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from .delays import TrainableDelay, select_messages
+from .nodes import Message, Node, Step, Window
+from .tables import Column, Row, TableBuilder, Tables
+from .types import Array, Scalar, Tree
+
+__all__ = ["CompiledGraph", "GraphState", "Observation"]
+
+SELECT = 8
+"""Histories of at most this many messages are read and written by selection, larger ones by index."""
+
+
+@partial(
+    jax.tree_util.register_dataclass,
+    data_fields=["key", "episode", "step", "params", "state", "history"],
+    meta_fields=[],
+)
+@dataclass(frozen=True)
+class GraphState:
+    """What a compiled graph carries from step to step, for one environment."""
+
+    key: Array
+    """The key from which every step's random numbers follow."""
+    episode: Array
+    """Which episode's schedule it runs along, int32."""
+    step: Array
+    """How many steps the supervisor has made, int32."""
+    params: dict[str, Tree]
+    """Every node's parameters; under `delays`, the place of each trainable delay between its bounds, 0 to 1."""
+    state: dict[str, Tree]
+    """Every node's state."""
+    history: dict[str, Any]
+    """Every node's last outputs: a tuple of them, or, for long histories, one tree with a leading axis."""
+
+
+@partial(
+    jax.tree_util.register_dataclass, data_fields=["seq", "due", "start", "inputs"], meta_fields=[]
+)
+@dataclass(frozen=True)
+class Observation:
+    """What the supervisor's step sees. Times are seconds since the run's start."""
+
+    seq: Array
+    """The step's number, from 0."""
+    due: Array
+    """When it was due, s."""
+    start: Array
+    """When it starts, s."""
+    inputs: dict[str, Tree]
+    """For each port `seq`, `sent` and `received`, each `[window]`, and `message` with leaves `[window, ...]`, oldest
+    first."""
+
+
+@dataclass(frozen=True)
+class _Input:
+    """The columns of one port of one slot; one entry per candidate."""
+
+    port: str
+    sender: int
+    window: int
+    connection: int
+    stamps: dict[str, list[Column]]
+    read: list[Column]
+    trainable: TrainableDelay | None
+
+
+@dataclass(frozen=True)
+class _Slot:
+    """The columns of one slot."""
+
+    node: int
+    run: Column
+    times: dict[str, Column]
+    write: Column
+    inputs: list[_Input]
+
+
+@dataclass(frozen=True)
+class _NodeInfo:
+    name: str
+    node: Node
+    history: int
+
+
+@dataclass
+class _Moment:
+    """What a pass works on."""
+
+    row: Row
+    params: dict[str, Tree]
+    state: dict[str, Tree]
+    history: dict[str, Any]
+    keys: Array
+    noise: Mapping[str, Array]
+
+
+class CompiledGraph:
+    """A graph as pure functions. `Graph.compile` makes it."""
+
+    def __init__(
+        self,
+        compiled: Mapping[str, Any],
+        nodes: Sequence[tuple[str, Node]],
+        ports: Sequence[Sequence[str]],
+        connections: Sequence[str],
+    ) -> None:
+        self.episodes: int = compiled["episodes"]
+        """How many episodes there are."""
+        self.steps: int = compiled["steps"]
+        """How many steps the supervisor makes in the longest of them."""
+        self.lengths = np.asarray(compiled["lengths"])
+        """How many steps the supervisor makes in each, `[episode]`."""
+        self.source = compiled
+        """The compiler's own tables, as numpy arrays."""
+        self._nodes = [
+            _NodeInfo(name, node, entry["history"])
+            for (name, node), entry in zip(nodes, compiled["nodes"], strict=True)
+        ]
+        self._connections = list(connections)
+        self._builder = TableBuilder(self.episodes, self.steps)
+        self._slots = [self._columns(slot, ports[slot["node"]]) for slot in compiled["slots"]]
+        self._tables: dict[Any, Tables] = {}
+        self.supervisor: str = self._nodes[self._slots[-1].node].name
+        """The supervisor's name."""
+        self.delays = {
+            self._connections[port.connection]: port.trainable
+            for slot in self._slots
+            for port in slot.inputs
+            if port.trainable is not None
+        }
+        """The trainable delays, by connection."""
+
+    def __repr__(self) -> str:
+        return (
+            f"CompiledGraph({len(self._nodes)} nodes, {len(self._slots)} slots, {self.episodes} episodes of up to "
+            f"{self.steps} steps)"
+        )
+
+    @property
+    def tables(self) -> Tables:
+        """The schedules, in the precision that JAX is set to."""
+        key = jnp.result_type(float)
+        if key not in self._tables:
+            with jax.ensure_compile_time_eval():
+                self._tables[key] = self._builder.tables()
+        return self._tables[key]
+
+    def state_bytes(self) -> int:
+        """How many bytes one environment's `GraphState` takes."""
+        state = jax.eval_shape(self.init, jax.eval_shape(lambda: jax.random.key(0)))
+        return sum(_bytes(leaf) for leaf in jax.tree.leaves(state))
+
+    def init(
+        self, key: Array, params: Mapping[str, Tree] | None = None, episode: Scalar = 0, step: Scalar = 0
+    ) -> GraphState:
+        """The state before the first step.
+
+        `params` replaces the parameters of the nodes that it names (and `delays`); the others start as their nodes
+        say. `episode` chooses the schedule, `step` where in it to start.
+        """
+        given = dict(params or {})
+        unknown = given.keys() - {info.name for info in self._nodes} - {"delays"}
+        if unknown:
+            raise ValueError(f"parameters are given for {sorted(unknown)}, which the graph does not have")
+        all_params: dict[str, Tree] = {}
+        state: dict[str, Tree] = {}
+        history: dict[str, Any] = {}
+        for index, info in enumerate(self._nodes):
+            keys = jax.random.split(jax.random.fold_in(key, index), 3)
+            own = given[info.name] if info.name in given else info.node.init_params(keys[0])
+            all_params[info.name] = own
+            state[info.name] = _arrays(info.node.init_state(keys[1], own))
+            output = _arrays(info.node.init_output(keys[2], own, state[info.name]))
+            if info.history <= SELECT:
+                history[info.name] = (output,) * info.history
+            else:
+                history[info.name] = jax.tree.map(partial(_repeated, count=info.history), output)
+        if self.delays:
+            start = {name: jnp.asarray(0.5, float) for name in self.delays}
+            chosen = given.get("delays", {})
+            unknown = chosen.keys() - start.keys()
+            if unknown:
+                raise ValueError(f"{sorted(unknown)} are no trainable delays; those are {sorted(start)}")
+            all_params["delays"] = start | dict(chosen)
+        return GraphState(
+            key, jnp.asarray(episode, jnp.int32), jnp.asarray(step, jnp.int32), all_params, state, history
+        )
+
+    def reset(self, state: GraphState, tables: Tables | None = None) -> tuple[GraphState, Observation]:
+        """From `init` to the supervisor's first step: the new state and what the supervisor sees."""
+        moment = self._moment(state, tables)
+        self._before_supervisor(moment, {})
+        return self._after(state, moment), self._observe(moment)
+
+    def step(
+        self, state: GraphState, output: Tree | None = None, tables: Tables | None = None
+    ) -> tuple[GraphState, Observation]:
+        """Makes the supervisor's step and everything up to its next one.
+
+        With `output`, that is what the supervisor sends; its own model does not run and its state stays. Without, its
+        model runs.
+        """
+        moment = self._moment(state, tables)
+        self._supervisor(moment, output)
+        state = replace(self._after(state, moment), step=state.step + 1)
+        return self.reset(state, tables)
+
+    def rollout(
+        self,
+        state: GraphState,
+        steps: int | None = None,
+        *,
+        record: Callable[[GraphState], Tree] | Sequence[str] | None = None,
+        pinned: Mapping[str, Tree] | None = None,
+        noise: Mapping[str, Array] | None = None,
+        tables: Tables | None = None,
+        unroll: int = 1,
+    ) -> tuple[GraphState, Tree]:
+        """From `init` through `steps` steps of the supervisor (all, if not said).
+
+        `record` says what to keep of each step: a function of the state after it, or names of nodes, for each of which
+        a list with one entry per slot is kept: `run`, `seq`, `start`, `state` (before the step) and `output`.
+        `pinned` gives nodes' outputs, `[steps, ...]`, instead of running them: the supervisor's by its steps, others'
+        by their sequence numbers. `noise` gives nodes' standard normal numbers, `[steps of the node, count]`. Returns
+        the last state and what was recorded, with a leading axis `[steps]`.
+        """
+        tables = self.tables if tables is None else tables
+        steps = self.steps if steps is None else steps
+        start = jnp.clip(state.step, 0, self.steps - steps)
+        episode = Tables(*(lax.dynamic_index_in_dim(table, state.episode, keepdims=False) for table in tables))
+        rows = Tables(*(lax.dynamic_slice_in_dim(table, start, steps) for table in episode))
+        return self._rollout(state, rows, record, pinned or {}, noise or {}, unroll)
+
+    def _rollout(
+        self,
+        state: GraphState,
+        rows: Tables,
+        record: Callable[[GraphState], Tree] | Sequence[str] | None,
+        pinned: Mapping[str, Tree],
+        noise: Mapping[str, Array],
+        unroll: int,
+    ) -> tuple[GraphState, Tree]:
+        """Along rows of one episode, `[steps, column]`."""
+        unknown = (pinned.keys() | noise.keys()) - {info.name for info in self._nodes}
+        if unknown:
+            raise ValueError(f"{sorted(unknown)} are pinned or given noise, but are no nodes of the graph")
+        others = {name: outputs for name, outputs in pinned.items() if name != self.supervisor}
+        names = [] if record is None or callable(record) else list(record)
+        params, keys = state.params, self._keys(state.key)
+
+        def body(carry: tuple[Tree, ...], xs: tuple[Tables, Tree]) -> tuple[tuple[Tree, ...], Tree]:
+            step, node_state, history = carry
+            moment = _Moment(Row(*xs[0]), params, dict(node_state), dict(history), keys, noise)
+            kept = self._before_supervisor(moment, others, names)
+            kept |= self._supervisor(moment, xs[1], names)
+            carry = (step + 1, moment.state, moment.history)
+            if callable(record):
+                return carry, record(self._after(replace(state, step=step + 1), moment))
+            return carry, {name: [kept[place] for place in sorted(kept) if self._name(place) == name] for name in names}
+
+        carry = (state.step, state.state, state.history)
+        (step, node_state, history), kept = lax.scan(
+            body, carry, (rows, pinned.get(self.supervisor)), unroll=unroll
+        )
+        return replace(state, step=step, state=node_state, history=history), kept
+
+    def _name(self, slot: int) -> str:
+        return self._nodes[self._slots[slot].node].name
+
+    def _keys(self, key: Array) -> Array:
+        """Two keys a node: of its noise, and of its own draws."""
+        return jax.vmap(partial(jax.random.fold_in, key))(jnp.arange(2 * len(self._nodes)) + 1_000_000)
+
+    def _moment(self, state: GraphState, tables: Tables | None) -> _Moment:
+        tables = self.tables if tables is None else tables
+        place = jnp.clip(state.step, 0, self.steps - 1)
+        row = Row(*(table[state.episode, place] for table in tables))
+        return _Moment(row, state.params, dict(state.state), dict(state.history), self._keys(state.key), {})
+
+    def _after(self, state: GraphState, moment: _Moment) -> GraphState:
+        return replace(state, state=moment.state, history=moment.history)
+
+    def _before_supervisor(
+        self, moment: _Moment, pinned: Mapping[str, Tree], record: Sequence[str] = ()
+    ) -> dict[int, Tree]:
+        kept: dict[int, Tree] = {}
+        for place, slot in enumerate(self._slots[:-1]):
+            name = self._nodes[slot.node].name
+            output = None
+            if name in pinned:
+                seq = jnp.asarray(moment.row[slot.times["seq"]], jnp.int32)
+                output = jax.tree.map(lambda outputs, seq=seq: outputs[seq], pinned[name])
+            result = self._run(slot, moment, output, name in record)
+            if name in record:
+                kept[place] = result
+        return kept
+
+    def _supervisor(self, moment: _Moment, output: Tree | None, record: Sequence[str] = ()) -> dict[int, Tree]:
+        wanted = self.supervisor in record
+        result = self._run(self._slots[-1], moment, output, wanted)
+        return {len(self._slots) - 1: result} if wanted else {}
+
+    def _run(self, slot: _Slot, moment: _Moment, output: Tree | None, record: bool) -> Tree:
+        """One step of one node, where the row says so."""
+        info = self._nodes[slot.node]
+        before = moment.state[info.name]
+        if output is None:
+            after, output = info.node.step(moment.params[info.name], before, self._view(slot, moment))
+            if jax.tree.structure(after) != jax.tree.structure(before):
+                raise TypeError(f"the step of node `{info.name}` returns a state of another structure than its first")
+        else:
+            after = before
+        run = None if slot.run.place < 0 else moment.row[slot.run] != 0
+        after = jax.tree.map(partial(_chosen, run), after, before)
+        moment.state[info.name] = after
+        moment.history[info.name] = self._write(slot, moment, run, output)
+        if not record:
+            return None
+        row = moment.row
+        return {
+            "run": jnp.asarray(True if run is None else run),
+            "seq": jnp.asarray(row[slot.times["seq"]]),
+            "start": jnp.asarray(row[slot.times["start"]]),
+            "state": before,
+            "output": jax.tree.map(jnp.asarray, output),
+        }
+
+    def _write(self, slot: _Slot, moment: _Moment, run: Array | None, output: Tree) -> Any:
+        """The history with an output in its place."""
+        info = self._nodes[slot.node]
+        history = moment.history[info.name]
+        place = moment.row[slot.write]
+        example = history[0] if info.history <= SELECT else history
+        if jax.tree.structure(output) != jax.tree.structure(example):
+            raise TypeError(
+                f"the step of node `{info.name}` sends {jax.tree.structure(output)}, its first output is "
+                f"{jax.tree.structure(example)}"
+            )
+        if info.history > SELECT:
+            return jax.tree.map(partial(_stored, place, run), history, output)
+        result = list(history)
+        for other in slot.write.values:
+            here = run
+            if slot.write.place >= 0:
+                at = place == other
+                here = at if run is None else run & at
+            result[other] = jax.tree.map(partial(_chosen, here), output, history[other])
+        return tuple(result)
+
+    def _read(self, sender: int, column: Column, moment: _Moment) -> Tree:
+        """The message at a place of a history."""
+        info = self._nodes[sender]
+        history = moment.history[info.name]
+        place = moment.row[column]
+        if info.history > SELECT:
+            return jax.tree.map(lambda leaf: lax.dynamic_index_in_dim(leaf, place, keepdims=False), history)
+        result = history[column.values[0]]
+        for other in column.values[1:]:
+            result = jax.tree.map(partial(_chosen, place == other), history[other], result)
+        return result
+
+    def _view(self, slot: _Slot, moment: _Moment) -> Step:
+        """What the step in a slot sees; nothing is read before somebody looks."""
+        info = self._nodes[slot.node]
+        row = moment.row
+        inputs: dict[str, Window] = {}
+        for port in slot.inputs:
+            if port.trainable is None:
+                messages = [
+                    Message(
+                        lambda name, port=port, i=i: row[port.stamps[name][i]],
+                        lambda port=port, i=i: self._read(port.sender, port.read[i], moment),
+                    )
+                    for i in range(port.window)
+                ]
+            else:
+                messages = select_messages(
+                    port.trainable,
+                    moment.params["delays"][self._connections[port.connection]],
+                    row[slot.times["start"]],
+                    port.window,
+                    {name: [row[column] for column in columns] for name, columns in port.stamps.items()},
+                    [partial(self._read, port.sender, column, moment) for column in port.read],
+                )
+            inputs[port.port] = Window(messages)
+
+        def number(name: str) -> Scalar:
+            return row[slot.times[name]]
+
+        def drawn(count: int) -> Array:
+            seq = jnp.asarray(number("seq"), jnp.int32)
+            if info.name in moment.noise:
+                return moment.noise[info.name][seq]
+            return jax.random.normal(jax.random.fold_in(moment.keys[2 * slot.node], seq), (count,))
+
+        def key() -> Array:
+            return jax.random.fold_in(moment.keys[2 * slot.node + 1], jnp.asarray(number("seq"), jnp.int32))
+
+        return Step(number, inputs, key, drawn)
+
+    def _observe(self, moment: _Moment) -> Observation:
+        """Everything that the supervisor sees."""
+        view = self._view(self._slots[-1], moment)
+        inputs = {
+            port: {
+                "seq": jnp.stack([jnp.asarray(message.seq, float) for message in window]),
+                "sent": jnp.stack([jnp.asarray(message.sent, float) for message in window]),
+                "received": jnp.stack([jnp.asarray(message.received, float) for message in window]),
+                "message": window.stacked(),
+            }
+            for port, window in view.inputs.items()
+        }
+        return Observation(*(jnp.asarray(value, float) for value in (view.seq, view.due, view.start)), inputs)
+
+    def _columns(self, slot: Mapping[str, Any], ports: Sequence[str]) -> _Slot:
+        """A slot's part of the tables."""
+        add = self._builder
+        run = slot["run"].astype(bool)
+        always = np.ones_like(run)
+        inputs = []
+        for name, rows in zip(ports, slot["inputs"], strict=True):
+            candidates = range(rows["candidates"])
+            trainable = rows["trainable"]
+            inputs.append(
+                _Input(
+                    name,
+                    rows["from"],
+                    rows["window"],
+                    rows["connection"],
+                    {
+                        "seq": [add.numbers(rows["seq"][..., i], run) for i in candidates],
+                        "sent": [add.seconds(rows["sent"][..., i], run) for i in candidates],
+                        "received": [add.seconds(rows["received"][..., i], run) for i in candidates],
+                    },
+                    [add.integers(rows["read"][..., i], run) for i in candidates],
+                    None if trainable is None else TrainableDelay(**trainable),
+                )
+            )
+        return _Slot(
+            slot["node"],
+            add.integers(run, always),
+            {"seq": add.numbers(slot["seq"], run), "due": add.seconds(slot["due"], run), "start": add.seconds(slot["start"], run)},
+            add.integers(slot["write"], run),
+            inputs,
+        )
+
+
+def _chosen(run: Array | None, new: Scalar, old: Array) -> Array:
+    """`new` where `run` holds (always, if it is None), as what `old` is."""
+    if jnp.shape(new) != old.shape:
+        raise TypeError(f"a leaf has shape {jnp.shape(new)} after the step and {old.shape} before")
+    new = jnp.asarray(new, old.dtype)
+    return new if run is None else jnp.where(run, new, old)
+
+
+def _stored(place: Scalar, run: Array | None, history: Array, new: Scalar) -> Array:
+    old = lax.dynamic_index_in_dim(history, place, keepdims=False)
+    return lax.dynamic_update_index_in_dim(history, _chosen(run, new, old), place, 0)
+
+
+def _arrays(tree: Tree) -> Tree:
+    return jax.tree.map(_strong, tree)
+
+
+def _strong(leaf: Any) -> Array:
+    leaf = jnp.asarray(leaf)
+    return lax.convert_element_type(leaf, leaf.dtype)
+
+
+def _repeated(leaf: Array, count: int) -> Array:
+    return jnp.broadcast_to(leaf, (count, *leaf.shape))
+
+
+def _bytes(leaf: Any) -> int:
+    if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+        leaf = jax.eval_shape(jax.random.key_data, leaf)
+    return leaf.size * leaf.dtype.itemsize

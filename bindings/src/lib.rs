@@ -1,0 +1,36 @@
+//! The native half of the Python package `parallax`: recordings, programs, systems and graphs as Python reads them.
+//!
+//! The module is private to the package ([`parallax._native`](../python/parallax)); it hands over plain dictionaries,
+//! numpy arrays and JSON, and what they mean to people is written in Python. Every error of the crates below becomes a
+//! Python exception that carries the same message.
+
+mod arrays;
+mod error;
+mod graph;
+mod program;
+mod recording;
+mod system;
+
+use pyo3::prelude::*;
+
+/// The module `parallax._native`.
+#[pymodule]
+mod _native {
+    #[pymodule_export]
+    use crate::error::ParallaxError;
+    #[pymodule_export]
+    use crate::graph::{NativeGraph, graphs, kinds};
+    #[pymodule_export]
+    use crate::program::{NativeProgram, models};
+    #[pymodule_export]
+    use crate::recording::load;
+    #[pymodule_export]
+    use crate::system::system;
+
+    use super::{Bound, PyModule, PyModuleMethods, PyResult};
+
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        module.add("__version__", env!("CARGO_PKG_VERSION"))
+    }
+}
