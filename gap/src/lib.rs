@@ -76,6 +76,7 @@ pub mod hypothesis;
 pub mod innovation;
 pub mod library;
 pub mod noise;
+pub mod plot;
 pub mod posterior;
 pub mod quantify;
 pub mod report;

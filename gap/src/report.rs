@@ -1,9 +1,7 @@
 //! The answer: what a diagnosis found, as `report.json` states it, with the series that its plots need.
 
 mod answer;
-mod axis;
 mod bars;
-mod draw;
 mod format;
 pub mod html;
 mod overlay;
@@ -13,6 +11,8 @@ pub mod svg;
 pub mod text;
 
 use serde::{Deserialize, Serialize};
+
+use crate::plot::{axis, draw};
 
 /// A whole diagnosis.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -1,10 +1,11 @@
 //! `report.html`: one self-contained page with plots.
 
 use super::answer::{Answer, answers};
-use super::draw::{self, Pen, escape, typeset};
+use super::draw::{Pen, escape, typeset};
 use super::overlay;
 use super::readings::Readings;
 use super::{Confusable, Overlay, Report, bars, format};
+use crate::plot::page;
 
 /// Answers less probable than this are listed by name only.
 const WORTH_A_ROW: f64 = 0.0005;
@@ -34,27 +35,8 @@ pub fn page(report: &Report, overlays: &[Overlay]) -> String {
         format!("<div class=\"pair even\">{}{}</div>", absorbed(report), not_testable(report)),
         footer(report),
     ];
-    format!(
-        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>\n\
-         <meta name=\"color-scheme\" content=\"light dark\"/>\n<title>Diagnosis of {system}</title>\n\
-         <style>\n{colours}{page}{plot}</style>\n</head>\n<body>\n<main>\n{body}</main>\n\
-         <script>\n{script}</script>\n</body>\n</html>\n",
-        system = escape(&report.system),
-        colours = colours(),
-        page = include_str!("page.css"),
-        plot = draw::STYLE,
-        body = body.concat(),
-        script = include_str!("page.js"),
-    )
-}
-
-/// The colours as variables, for light and dark screens; print is always light.
-fn colours() -> String {
-    let list = |pick: fn(&(&str, &str, &str)) -> String| draw::COLOURS.iter().map(pick).collect::<String>();
-    let light = list(|(name, light, _)| format!("--{name}:{light};"));
-    let dark = list(|(name, _, dark)| format!("--{name}:{dark};"));
-    format!(":root{{{light}}}\n@media screen and (prefers-color-scheme:dark){{:root{{{dark}}}}}\n")
+    let title = format!("Diagnosis of {}", report.system);
+    page::write(&title, &body.concat(), include_str!("page.js"))
 }
 
 /// A number of the page: escaped, with true minus signs and unbroken spaces.

@@ -5,7 +5,7 @@ use std::ops::Range;
 use super::format;
 
 /// Multiples of a step from one number to another, in order; none where they would be more than a thousand.
-pub(super) fn multiples(low: f64, high: f64, step: f64) -> Vec<f64> {
+pub fn multiples(low: f64, high: f64, step: f64) -> Vec<f64> {
     let (first, last) = ((low / step).ceil(), (high / step + 1e-9).floor());
     if !(first.is_finite() && last.is_finite()) || last < first || last - first > 1000.0 {
         return Vec::new();
@@ -16,7 +16,7 @@ pub(super) fn multiples(low: f64, high: f64, step: f64) -> Vec<f64> {
 }
 
 /// The next of 1, 2, 5 times a power of ten: `multiples` of `step(span / count)` are at most about `count`.
-pub(super) fn step(least: f64) -> f64 {
+pub fn step(least: f64) -> f64 {
     if !(least.is_finite() && least > 0.0) {
         return 1.0;
     }
@@ -25,20 +25,21 @@ pub(super) fn step(least: f64) -> f64 {
 }
 
 /// A vertical axis with its labels.
-pub(super) struct Scale {
+#[derive(Debug, Clone)]
+pub struct Scale {
     /// Value at the bottom.
-    pub(super) low: f64,
+    pub low: f64,
     /// Value at the top.
-    pub(super) high: f64,
+    pub high: f64,
     /// Ticks with their labels.
-    pub(super) ticks: Vec<(f64, String)>,
+    pub ticks: Vec<(f64, String)>,
     /// Power of ten by which the labels are to be multiplied.
-    pub(super) exponent: i32,
+    pub exponent: i32,
 }
 
 impl Scale {
     /// A scale that shows `low..high` with a little room. Both ends must be finite and below 1e290.
-    pub(super) fn new(low: f64, high: f64, count: f64) -> Self {
+    pub fn new(low: f64, high: f64, count: f64) -> Self {
         let middle = (low + high) / 2.0;
         let least = (middle.abs() * 1e-9).max(1e-290);
         let room = ((high - low) * 0.05).max(least);
@@ -58,25 +59,26 @@ impl Scale {
     }
 
     /// Position of a value between the bottom and the top of a panel, kept close to it.
-    pub(super) fn y(&self, value: f64, top: f64, height: f64) -> f64 {
+    pub fn y(&self, value: f64, top: f64, height: f64) -> f64 {
         let part = ((value - self.low) / (self.high - self.low)).clamp(-2.0, 3.0);
         top + height * (1.0 - part)
     }
 }
 
 /// A stretch of samples drawn on one unbroken piece of the time axis.
-pub(super) struct Stretch {
+#[derive(Debug, Clone)]
+pub struct Stretch {
     /// The samples.
-    pub(super) samples: Range<usize>,
+    pub samples: Range<usize>,
     /// Time at its start and end (s).
-    pub(super) time: (f64, f64),
+    pub time: (f64, f64),
     /// Where these lie (px).
-    pub(super) x: (f64, f64),
+    pub x: (f64, f64),
 }
 
 impl Stretch {
     /// Position of a time (px).
-    pub(super) fn x(&self, time: f64) -> f64 {
+    pub fn x(&self, time: f64) -> f64 {
         let span = self.time.1 - self.time.0;
         let part = if span > 0.0 { (time - self.time.0) / span } else { 0.5 };
         self.x.0 + (self.x.1 - self.x.0) * part.clamp(0.0, 1.0)
@@ -85,7 +87,7 @@ impl Stretch {
 
 /// Lays pieces of samples side by side between `left` and `right`; times that no piece covers are left out where
 /// they are long, or where time runs backwards because another recording begins.
-pub(super) fn stretches(stamp: &[f64], pieces: &[Range<usize>], left: f64, right: f64) -> Vec<Stretch> {
+pub fn stretches(stamp: &[f64], pieces: &[Range<usize>], left: f64, right: f64) -> Vec<Stretch> {
     let span = |range: &Range<usize>| (stamp[range.start], stamp[range.end - 1]);
     let covered: f64 = pieces.iter().map(|piece| span(piece).1 - span(piece).0).sum();
     let mut joined: Vec<Range<usize>> = Vec::new();

@@ -2,7 +2,7 @@
 
 /// Colours by name: on paper, and on a dark screen. The two predictions differ in lightness, dash and weight too
 /// (vermilion and blue of Okabe and Ito's palette, darkened or lightened until they can be read as text).
-pub(super) const COLOURS: [(&str, &str, &str); 10] = [
+pub const COLOURS: [(&str, &str, &str); 10] = [
     ("paper", "#ffffff", "#15181c"),
     ("panel", "#f6f7f9", "#1c2026"),
     ("ink", "#1b1f24", "#e9ebee"),
@@ -16,17 +16,17 @@ pub(super) const COLOURS: [(&str, &str, &str); 10] = [
 ];
 
 /// Style of all plots, in terms of the colours.
-pub(super) const STYLE: &str = include_str!("plot.css");
+pub const STYLE: &str = include_str!("plot.css");
 
 /// The style with the colours of paper written out, for an SVG that stands alone: not every viewer knows variables.
-pub(super) fn style_on_paper() -> String {
+pub fn style_on_paper() -> String {
     COLOURS
         .iter()
         .fold(STYLE.to_owned(), |style, (name, light, _)| style.replace(&format!("var(--{name})"), light))
 }
 
 /// Text as it may stand in HTML and XML, in quotes too. Characters that XML cannot hold become U+FFFD.
-pub(super) fn escape(text: &str) -> String {
+pub fn escape(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for c in text.chars() {
         match c {
@@ -44,20 +44,20 @@ pub(super) fn escape(text: &str) -> String {
 }
 
 /// Sets a number: a true minus sign, spaces that do not break before units.
-pub(super) fn typeset(number: &str) -> String {
+pub fn typeset(number: &str) -> String {
     number.replace('-', "−").replace(' ', "\u{a0}")
 }
 
 /// A coordinate to a tenth of a pixel.
-pub(super) fn px(value: f64) -> String {
+pub fn px(value: f64) -> String {
     let text = format!("{value:.1}");
     let text = text.strip_suffix(".0").unwrap_or(&text);
     if text == "-0" { "0".to_owned() } else { text.to_owned() }
 }
 
 /// Which end of a text lies at its position.
-#[derive(Clone, Copy)]
-pub(super) enum Anchor {
+#[derive(Debug, Clone, Copy)]
+pub enum Anchor {
     /// Its left end.
     Start,
     /// Its middle.
@@ -67,14 +67,14 @@ pub(super) enum Anchor {
 }
 
 /// An SVG being drawn.
-#[derive(Default)]
-pub(super) struct Pen {
+#[derive(Debug, Default)]
+pub struct Pen {
     elements: String,
 }
 
 impl Pen {
-    /// The element `<svg>` with everything drawn so far; `label` says what it shows to whoever cannot see it.
-    pub(super) fn finish(self, class: &str, width: f64, height: f64, label: &str) -> String {
+    /// The element `<svg>` with everything drawn so far, so large in pixels; `label` says what it shows to whoever cannot see it.
+    pub fn finish(self, class: &str, width: f64, height: f64, label: &str) -> String {
         format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"{class}\" viewBox=\"0 0 {w} {h}\" width=\"{w}\" \
              height=\"{h}\" role=\"img\" aria-label=\"{label}\">{elements}</svg>\n",
@@ -85,11 +85,13 @@ impl Pen {
         )
     }
 
-    pub(super) fn raw(&mut self, element: &str) {
+    /// An element as it is written. What it holds must be escaped.
+    pub fn raw(&mut self, element: &str) {
         self.elements.push_str(element);
     }
 
-    pub(super) fn line(&mut self, class: &str, from: (f64, f64), to: (f64, f64)) {
+    /// A line.
+    pub fn line(&mut self, class: &str, from: (f64, f64), to: (f64, f64)) {
         self.raw(&format!(
             "<line class=\"{class}\" x1=\"{}\" y1=\"{}\" x2=\"{}\" y2=\"{}\"/>",
             px(from.0),
@@ -99,7 +101,8 @@ impl Pen {
         ));
     }
 
-    pub(super) fn rect(&mut self, class: &str, corner: (f64, f64), size: (f64, f64)) {
+    /// A rectangle, from its upper left corner.
+    pub fn rect(&mut self, class: &str, corner: (f64, f64), size: (f64, f64)) {
         self.raw(&format!(
             "<rect class=\"{class}\" x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\"/>",
             px(corner.0),
@@ -109,7 +112,8 @@ impl Pen {
         ));
     }
 
-    pub(super) fn dot(&mut self, class: &str, at: (f64, f64), radius: f64) {
+    /// A disc.
+    pub fn dot(&mut self, class: &str, at: (f64, f64), radius: f64) {
         self.raw(&format!(
             "<circle class=\"{class}\" cx=\"{}\" cy=\"{}\" r=\"{}\"/>",
             px(at.0),
@@ -118,7 +122,8 @@ impl Pen {
         ));
     }
 
-    pub(super) fn text(&mut self, class: &str, at: (f64, f64), anchor: Anchor, text: &str) {
+    /// A text, which is escaped.
+    pub fn text(&mut self, class: &str, at: (f64, f64), anchor: Anchor, text: &str) {
         let anchor = match anchor {
             Anchor::Start => "start",
             Anchor::Middle => "middle",
@@ -133,7 +138,7 @@ impl Pen {
     }
 
     /// Lines through points; a run of one point becomes a dot as wide as the line.
-    pub(super) fn runs(&mut self, class: &str, runs: &[Vec<(f64, f64)>]) {
+    pub fn runs(&mut self, class: &str, runs: &[Vec<(f64, f64)>]) {
         let mut path = String::new();
         for run in runs {
             for (i, (x, y)) in run.iter().enumerate() {
@@ -151,7 +156,7 @@ impl Pen {
 }
 
 /// Width of a text in pixels, roughly: fonts differ, and an SVG cannot ask.
-pub(super) fn width(text: &str, size: f64) -> f64 {
+pub fn width(text: &str, size: f64) -> f64 {
     text.chars().count() as f64 * size * 0.56
 }
 
