@@ -3,9 +3,9 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use parallax_runtime::delay::DelaySampler;
+use parallax_runtime::delay::{Delay, DelaySampler};
 use parallax_runtime::graph::Graph;
-use parallax_runtime::node::{ErasedNode, NodeError};
+use parallax_runtime::node::{ErasedNode, NodeError, Step};
 use parallax_runtime::random::{Purpose, stream};
 use parallax_runtime::recording::{
     Clock, Fault, FaultKind, Loss, LossReason, MemorySink, Recording, RecordingSink, SinkError, StepView,
@@ -61,6 +61,8 @@ pub struct Executor {
     graph: Graph,
     seed: u64,
     real_time_factor: Option<f64>,
+    /// Whether nodes are left out: steps run when they would and send their initial messages.
+    timing_only: bool,
 }
 
 /// What a run came to.
@@ -90,7 +92,15 @@ pub struct ConnectionAccount {
 impl Executor {
     /// Runs `graph` with all randomness from `seed`, as fast as it can.
     pub fn new(graph: Graph, seed: u64) -> Self {
-        Self { graph, seed, real_time_factor: None }
+        Self { graph, seed, real_time_factor: None, timing_only: false }
+    }
+
+    /// Runs the schedule alone, without the nodes. A computation delay that follows from a step's output is then what
+    /// the graph expects of it.
+    #[must_use]
+    pub(crate) fn timing_only(mut self) -> Self {
+        self.timing_only = true;
+        self
     }
 
     /// Holds the run back so that it takes `factor` simulated seconds a second: 1 is real time.
@@ -138,7 +148,7 @@ impl Executor {
             }
             factor => factor.map(|factor| (Instant::now(), factor)),
         };
-        let mut run = Run::new(&self.graph, self.seed, duration, sink)?;
+        let mut run = Run::new(&self.graph, self.seed, duration, sink, self.timing_only)?;
         for &node in self.graph.order() {
             run.wake(node, 0)?;
         }
@@ -150,6 +160,15 @@ impl Executor {
             run.happen(event)?;
         }
         Ok(run.outcome())
+    }
+}
+
+/// Stands for every node where only the timing counts: its output stays the initial message.
+struct Nothing;
+
+impl ErasedNode for Nothing {
+    fn step_into(&mut self, _: &Step<'_>, _: &mut [f64]) -> Result<(), NodeError> {
+        Ok(())
     }
 }
 
@@ -188,17 +207,31 @@ struct Run<'a, S> {
 }
 
 impl<'a, S: RecordingSink> Run<'a, S> {
-    fn new(graph: &'a Graph, seed: u64, duration: Nanos, sink: &'a mut S) -> Result<Self, SimError> {
+    fn new(
+        graph: &'a Graph,
+        seed: u64,
+        duration: Nanos,
+        sink: &'a mut S,
+        timing_only: bool,
+    ) -> Result<Self, SimError> {
         let mut nodes = Vec::with_capacity(graph.nodes().len());
         for (index, plan) in graph.nodes().iter().enumerate() {
-            let node = graph
-                .build(index, seed)
-                .map_err(|source| SimError::Build { node: plan.name.clone(), source })?;
+            let (node, computation) = if timing_only {
+                let delay = match plan.computation.leaf() {
+                    Some(_) => Delay::constant(plan.computation.expected()).sampler(&[]),
+                    None => plan.computation.sampler(&[]),
+                };
+                (Box::new(Nothing) as Box<dyn ErasedNode>, delay)
+            } else {
+                let build = graph.build(index, seed);
+                let node = build.map_err(|source| SimError::Build { node: plan.name.clone(), source })?;
+                (node, plan.computation.sampler(&plan.kind.output().leaves))
+            };
             nodes.push(NodeState {
                 inbox: Inbox::new(graph, index),
                 node,
                 output: plan.kind.initial_message().into(),
-                computation: plan.computation.sampler(&plan.kind.output().leaves),
+                computation,
                 random: stream(seed, Purpose::Computation, &plan.name),
                 alive: true,
                 scheduled: false,

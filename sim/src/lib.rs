@@ -52,9 +52,13 @@
 //! ```
 
 pub mod delays;
+pub mod episode;
 mod event;
 mod executor;
+mod generate;
 mod replay;
 
+pub use episode::Episode;
 pub use executor::{ConnectionAccount, Executor, Outcome, SimError};
+pub use generate::{generate, generate_many};
 pub use replay::{Difference, NodeReplay, Override, ReplayError, ReplayOptions, ReplayReport, replay};

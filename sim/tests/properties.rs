@@ -10,7 +10,7 @@ use parallax_runtime::node::{ErasedNode, Layout, NodeError, Step};
 use parallax_runtime::recording::{MemorySink, Recording};
 use parallax_runtime::registry::{NodeKind, Registry};
 use parallax_runtime::schedule::verify;
-use parallax_sim::{Executor, Outcome, ReplayOptions, replay};
+use parallax_sim::{Episode, Executor, Outcome, ReplayOptions, generate, generate_many, replay};
 use proptest::prelude::*;
 
 const DURATION: i64 = 700_000_000;
@@ -139,6 +139,15 @@ fn config() -> ProptestConfig {
 
 proptest! {
     #![proptest_config(config())]
+
+    #[test]
+    fn a_generated_schedule_is_that_of_the_run(graph in graph(), seed in any::<u64>()) {
+        let recording = Executor::new(graph.clone(), seed).record(DURATION).unwrap();
+        let recorded = Episode::from_recording(&graph, &recording).unwrap();
+        prop_assert_eq!(generate(&graph, seed, DURATION).unwrap(), recorded);
+        let many = generate_many(&graph, seed, DURATION, 3).unwrap();
+        prop_assert_eq!(&generate_many(&graph, seed, DURATION, 2).unwrap()[..], &many[..2]);
+    }
 
     #[test]
     fn every_run_follows_the_rules(graph in graph(), seed in any::<u64>()) {
