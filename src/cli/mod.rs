@@ -1,9 +1,11 @@
 //! The commands. They wire the crates together; what they do is there.
 
-mod args;
+pub(crate) mod args;
+mod delays;
 mod demo;
 mod diagnose;
-mod failure;
+pub(crate) mod failure;
+mod graph;
 mod import;
 mod info;
 mod output;
@@ -57,6 +59,12 @@ enum Command {
     /// Say what is in a recording, a folder of logs, a graph or a system.
     #[command(after_help = EXIT_CODES)]
     Info(info::Arguments),
+    /// Say how long steps and messages took in a recording, and fit distributions to that.
+    #[command(after_help = EXIT_CODES)]
+    Delays(delays::Arguments),
+    /// Show a graph, its schedule and its supergraph, in words and in pictures.
+    #[command(after_help = EXIT_CODES)]
+    Graph(graph::Arguments),
     /// Say where a recording and its simulator part, why, and how far.
     #[command(after_help = EXIT_CODES)]
     Diagnose(diagnose::Arguments),
@@ -85,6 +93,8 @@ pub(crate) fn main() -> ExitCode {
         Command::Replay(arguments) => replay::run(&arguments),
         Command::Import(arguments) => import::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
+        Command::Delays(arguments) => delays::run(&arguments),
+        Command::Graph(arguments) => graph::run(&arguments),
     };
     match result {
         Ok(outcome) => outcome.into(),

@@ -89,8 +89,10 @@ pub fn fit(measured: &Measured) -> Option<DelayFit> {
     };
     let correlation = correlation(delays, successive, &kept);
     let count = delays.len() as f64;
-    let mean = delays.iter().map(|&delay| to_seconds(delay)).sum::<f64>() / count;
-    let variance = delays.iter().map(|&delay| (to_seconds(delay) - mean).powi(2)).sum::<f64>() / count;
+    let sum: i128 = delays.iter().map(|&delay| i128::from(delay)).sum();
+    let mean = sum as f64 / count * 1e-9;
+    let variance =
+        delays.iter().map(|&delay| (delay as f64 * 1e-9 - mean).powi(2)).sum::<f64>() / count;
     let constant = matches!(single, Delay::Constant { .. });
     Some(DelayFit {
         place: place.clone(),

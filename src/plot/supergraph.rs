@@ -1,0 +1,1 @@
+//! A supergraph: its slots in the order in which they run.
