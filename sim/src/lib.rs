@@ -57,6 +57,7 @@ mod event;
 mod executor;
 mod generate;
 mod replay;
+pub mod supergraph;
 
 pub use episode::Episode;
 pub use executor::{ConnectionAccount, Executor, Outcome, SimError};
