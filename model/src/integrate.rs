@@ -19,17 +19,35 @@ use crate::tree::Tree;
 /// ```
 #[inline(always)]
 pub fn rk4<T: Scalar, X: Tree<T>>(f: impl Fn(&X) -> X, x: X, dt: T) -> X {
-    // Only a traced program keeps the call; on numbers this is `f(&x)`.
-    let slope = |x: X| call::<T, X, X>("derivative", x, |x| f(&x));
     let half = dt * 0.5;
-    let k1 = slope(x.zip(&x, &mut |x, _| x));
-    let k2 = slope(along(&x, &k1, half));
-    let k3 = slope(along(&x, &k2, half));
-    let k4 = slope(along(&x, &k3, dt));
-    let middle = k2.zip(&k3, &mut |a, b| a + b);
-    let ends = k1.zip(&k4, &mut |a, b| a + b);
-    let sum = ends.zip(&middle, &mut |ends, middle| ends + middle * 2.0);
-    along(&x, &sum, dt / 6.0)
+    let copy = |x: &X| x.zip(x, &mut |x, _| x);
+    let add = |a: &X, b: &X| a.zip(b, &mut |a, b| T::compiled(|| a + b));
+    let (mut at, mut ends, mut middle) = (copy(&x), copy(&x), copy(&x));
+    // One place that calls `f`, so that it is inlined here, and what its four runs share is computed once.
+    for stage in 0..4 {
+        // Only a traced program keeps the call; on numbers this is `f(&at)`.
+        let slope = call::<T, X, X>("derivative", at, |x| T::compiled(|| f(&x)));
+        match stage {
+            0 => {
+                at = along(&x, &slope, half);
+                ends = slope;
+            }
+            1 => {
+                at = along(&x, &slope, half);
+                middle = slope;
+            }
+            2 => {
+                at = along(&x, &slope, dt);
+                middle = add(&middle, &slope);
+            }
+            _ => {
+                let sum =
+                    add(&ends, &slope).zip(&middle, &mut |ends, middle| T::compiled(|| ends + middle * 2.0));
+                at = along(&x, &sum, dt / 6.0);
+            }
+        }
+    }
+    at
 }
 
 /// `steps` steps of [`rk4`] that together cover `dt` seconds; a loop in a traced program.
@@ -47,5 +65,5 @@ pub fn rk4_steps<T: Scalar, X: Tree<T>>(f: impl Fn(&X) -> X, x: X, dt: T, steps:
 /// `x + slope · dt`
 #[inline(always)]
 fn along<T: Scalar, X: Tree<T>>(x: &X, slope: &X, dt: T) -> X {
-    x.zip(slope, &mut |x, slope| x + slope * dt)
+    x.zip(slope, &mut |x, slope| T::compiled(|| x + slope * dt))
 }

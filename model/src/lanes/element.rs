@@ -41,8 +41,10 @@ pub(crate) mod sealed {
 
         /// 1/π.
         const FRAC_1_PI: Self;
-        /// π/2 as a sum: products of the first two parts with the multiples within `CIRCLE_LIMIT` are exact.
-        const FRAC_PI_2: [Self; 3];
+        /// π as a sum; products of the first part with the multiples within `CIRCLE_LIMIT` are exact.
+        const PI: [Self; 2];
+        /// π/2 likewise.
+        const FRAC_PI_2: [Self; 2];
         /// The largest angle whose reduction is exact enough, rad.
         const CIRCLE_LIMIT: Self;
         /// S in sin x = x + x³ S(x²), |x| ≤ π/2.
@@ -94,8 +96,8 @@ macro_rules! element {
 
 element! { f64, mantissa 52,
     const RESCALE: [f64; 2] = [18_014_398_509_481_984.0, 54.0];
-    const FRAC_PI_2: [f64; 3] =
-        [1.570_796_326_734_125_6, 6.077_100_506_303_966e-11, 2.022_266_248_795_950_6e-21];
+    const PI: [f64; 2] = [3.141_592_653_468_251_2, 1.215_420_101_301_238_4e-10];
+    const FRAC_PI_2: [f64; 2] = [1.570_796_326_734_125_6, 6.077_100_506_506_192e-11];
     const CIRCLE_LIMIT: f64 = 1_048_576.0;
     const SINE: &'static [f64] = &[
         -0.166_666_666_666_661_86,
@@ -134,7 +136,8 @@ element! { f64, mantissa 52,
 
 element! { f32, mantissa 23,
     const RESCALE: [f32; 2] = [33_554_432.0, 25.0];
-    const FRAC_PI_2: [f32; 3] = [1.570_312_5, 0.000_483_751_3, 7.549_79e-8];
+    const PI: [f32; 2] = [3.140_625, 0.000_967_653_6];
+    const FRAC_PI_2: [f32; 2] = [1.570_312_5, 0.000_483_826_8];
     const CIRCLE_LIMIT: f32 = 8_000.0;
     const SINE: &'static [f32] = &[-0.166_666_6, 0.008_333_066, -0.000_198_095_98, 2.605_767_1e-6];
     const LN_2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];

@@ -152,12 +152,12 @@ impl Level {
     #[cfg(target_arch = "x86_64")]
     #[inline]
     pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
-        use super::x86::{Avx2, Avx512, Sse2, compiled_avx2, compiled_avx512};
+        use super::x86::{Sse2, run_avx2, run_avx512};
         match self {
             // SAFETY: the machine has the instructions.
-            Level::Avx512 if self.is_available() => unsafe { compiled_avx512(|| kernel.run::<Avx512>()) },
+            Level::Avx512 if self.is_available() => unsafe { run_avx512(kernel) },
             // SAFETY: the machine has the instructions.
-            Level::Avx2 if self.is_available() => unsafe { compiled_avx2(|| kernel.run::<Avx2>()) },
+            Level::Avx2 if self.is_available() => unsafe { run_avx2(kernel) },
             _ => kernel.run::<Sse2>(),
         }
     }

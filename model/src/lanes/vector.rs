@@ -52,7 +52,8 @@ pub trait Vector: Copy + Send + Sync + 'static {
     /// A function of each number.
     fn each(self, function: impl FnMut(Self::Element) -> Self::Element) -> Self;
     /// A function of each pair of numbers.
-    fn each_pair(self, other: Self, function: impl Fn(Self::Element, Self::Element) -> Self::Element) -> Self;
+    fn each_pair(self, other: Self, function: impl Fn(Self::Element, Self::Element) -> Self::Element)
+    -> Self;
 
     /// Runs `work` on the instructions that these registers need: what is inlined into it is compiled for them.
     fn compiled<R>(work: impl FnOnce() -> R) -> R;

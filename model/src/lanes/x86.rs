@@ -7,7 +7,7 @@ use std::arch::x86_64::*;
 use std::mem::transmute;
 
 use super::vector::Vector;
-use super::{F32x32, F64x16, Lanes, Simd};
+use super::{F32x32, F64x16, Kernel, Lanes, Simd};
 
 /// 128 bits, on every machine.
 #[derive(Clone, Copy, Debug)]
@@ -67,6 +67,26 @@ pub(super) unsafe fn compiled_avx2<R>(work: impl FnOnce() -> R) -> R {
 #[target_feature(enable = "avx512f,avx512bw,avx512cd,avx512dq,avx512vl")]
 pub(super) unsafe fn compiled_avx512<R>(work: impl FnOnce() -> R) -> R {
     work()
+}
+
+/// Runs a kernel on AVX2. Not by `compiled_avx2`: the kernel would be optimised in a closure first, for the baseline.
+///
+/// # Safety
+///
+/// The machine must have AVX2.
+#[target_feature(enable = "avx2")]
+pub(super) unsafe fn run_avx2<K: Kernel>(kernel: K) -> K::Output {
+    kernel.run::<Avx2>()
+}
+
+/// Runs a kernel on AVX-512.
+///
+/// # Safety
+///
+/// The machine must have these instructions.
+#[target_feature(enable = "avx512f,avx512bw,avx512cd,avx512dq,avx512vl")]
+pub(super) unsafe fn run_avx512<K: Kernel>(kernel: K) -> K::Output {
+    kernel.run::<Avx512>()
 }
 
 /// Implements [`Vector`] by intrinsics. SAFETY of every call: see the module.
@@ -167,7 +187,8 @@ macro_rules! register {
             #[inline(always)]
             fn each_pair(self, other: Self, function: impl Fn($float, $float) -> $float) -> Self {
                 type Numbers = [$float; size_of::<$vector>() / size_of::<$float>()];
-                let (a, b) = unsafe { (transmute::<$vector, Numbers>(self), transmute::<$vector, Numbers>(other)) };
+                let (a, b) =
+                    unsafe { (transmute::<$vector, Numbers>(self), transmute::<$vector, Numbers>(other)) };
                 let numbers: Numbers = std::array::from_fn(|lane| function(a[lane], b[lane]));
                 unsafe { transmute::<Numbers, $vector>(numbers) }
             }

@@ -77,6 +77,12 @@ impl Machine<'_> {
 
     /// Runs a function whose inputs are already at the start of its frame.
     fn run_loaded<T: Scalar>(&self, index: usize, frames: Frames<'_, T>, outputs: &mut [T]) {
+        // Recursive, so never inlined into a kernel: it asks for the kernel's instructions by itself.
+        T::compiled(|| self.run_operations(index, frames, outputs));
+    }
+
+    #[inline(always)]
+    fn run_operations<T: Scalar>(&self, index: usize, frames: Frames<'_, T>, outputs: &mut [T]) {
         let function = &self.functions[index];
         let (numbers, inner_numbers) = frames.numbers.split_at_mut(self.plans[index].frame);
         let (masks, inner_masks) = frames.masks.split_at_mut(self.plans[index].frame);

@@ -151,7 +151,7 @@ pub enum Unary {
 
 impl Unary {
     /// The function's value.
-    #[inline]
+    #[inline(always)]
     pub fn apply<T: Scalar>(self, a: T) -> T {
         match self {
             Unary::Neg => -a,
@@ -207,7 +207,7 @@ pub enum Binary {
 
 impl Binary {
     /// The function's value.
-    #[inline]
+    #[inline(always)]
     pub fn apply<T: Scalar>(self, a: T, b: T) -> T {
         match self {
             Binary::Add => a + b,
@@ -249,7 +249,7 @@ pub enum Compare {
 
 impl Compare {
     /// The comparison's mask.
-    #[inline]
+    #[inline(always)]
     pub fn apply<T: Scalar>(self, a: T, b: T) -> T::Mask {
         match self {
             Compare::Lt => a.lt(b),
