@@ -66,7 +66,7 @@ impl NativeGraph {
     }
 
     /// The connections' names.
-    fn connections(&self) -> Vec<String> {
+    pub(crate) fn connections(&self) -> Vec<String> {
         (0..self.graph.connections().len()).map(|index| self.graph.connection_name(index)).collect()
     }
 

@@ -5,6 +5,7 @@
 //! Python exception that carries the same message.
 
 mod arrays;
+mod episodes;
 mod error;
 mod graph;
 mod program;
@@ -16,6 +17,8 @@ use pyo3::prelude::*;
 /// The module `parallax._native`.
 #[pymodule]
 mod _native {
+    #[pymodule_export]
+    use crate::episodes::NativeEpisodes;
     #[pymodule_export]
     use crate::error::ParallaxError;
     #[pymodule_export]

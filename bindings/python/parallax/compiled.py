@@ -22,6 +22,7 @@ import numpy as np
 from jax import lax
 
 from .delays import TrainableDelay, select_messages
+from .noise import normals, words
 from .nodes import Message, Node, Step, Window
 from .tables import Column, Row, TableBuilder, Tables
 from .types import Array, Scalar, Tree
@@ -30,6 +31,10 @@ __all__ = ["CompiledGraph", "GraphState", "Observation"]
 
 SELECT = 8
 """Histories of at most this many messages are read and written by selection, larger ones by index."""
+
+
+STREAMS = 1_000_000
+"""Keys of streams are folded with numbers from here on, apart from those of `init`."""
 
 
 @partial(
@@ -112,7 +117,7 @@ class _Moment:
     params: dict[str, Tree]
     state: dict[str, Tree]
     history: dict[str, Any]
-    keys: Array
+    key: Array
     noise: Mapping[str, Array]
 
 
@@ -268,36 +273,33 @@ class CompiledGraph:
             raise ValueError(f"{sorted(unknown)} are pinned or given noise, but are no nodes of the graph")
         others = {name: outputs for name, outputs in pinned.items() if name != self.supervisor}
         names = [] if record is None or callable(record) else list(record)
-        params, keys = state.params, self._keys(state.key)
+        params, key = state.params, state.key
 
-        def body(carry: tuple[Tree, ...], xs: tuple[Tables, Tree]) -> tuple[tuple[Tree, ...], Tree]:
-            step, node_state, history = carry
-            moment = _Moment(Row(*xs[0]), params, dict(node_state), dict(history), keys, noise)
+        def body(carry: tuple[Tree, ...], xs: tuple[Tables, Tree, Array | None]) -> tuple[tuple[Tree, ...], Tree]:
+            moment = _Moment(Row(*xs[0]), params, dict(carry[0]), dict(carry[1]), key, noise)
             kept = self._before_supervisor(moment, others, names)
             kept |= self._supervisor(moment, xs[1], names)
-            carry = (step + 1, moment.state, moment.history)
+            carry = (moment.state, moment.history)
             if callable(record):
-                return carry, record(self._after(replace(state, step=step + 1), moment))
+                return carry, record(self._after(replace(state, step=xs[2]), moment))
             return carry, {name: [kept[place] for place in sorted(kept) if self._name(place) == name] for name in names}
 
-        carry = (state.step, state.state, state.history)
-        (step, node_state, history), kept = lax.scan(
-            body, carry, (rows, pinned.get(self.supervisor)), unroll=unroll
+        # The counter follows from where the rollout begins, so that it need not be carried.
+        steps = rows.floats.shape[0]
+        counts = state.step + 1 + jnp.arange(steps, dtype=jnp.int32) if callable(record) else None
+        (node_state, history), kept = lax.scan(
+            body, (state.state, state.history), (rows, pinned.get(self.supervisor), counts), unroll=unroll
         )
-        return replace(state, step=step, state=node_state, history=history), kept
+        return replace(state, step=state.step + steps, state=node_state, history=history), kept
 
     def _name(self, slot: int) -> str:
         return self._nodes[self._slots[slot].node].name
-
-    def _keys(self, key: Array) -> Array:
-        """Two keys a node: of its noise, and of its own draws."""
-        return jax.vmap(partial(jax.random.fold_in, key))(jnp.arange(2 * len(self._nodes)) + 1_000_000)
 
     def _moment(self, state: GraphState, tables: Tables | None) -> _Moment:
         tables = self.tables if tables is None else tables
         place = jnp.clip(state.step, 0, self.steps - 1)
         row = Row(*(table[state.episode, place] for table in tables))
-        return _Moment(row, state.params, dict(state.state), dict(state.history), self._keys(state.key), {})
+        return _Moment(row, state.params, dict(state.state), dict(state.history), state.key, {})
 
     def _after(self, state: GraphState, moment: _Moment) -> GraphState:
         return replace(state, state=moment.state, history=moment.history)
@@ -409,14 +411,16 @@ class CompiledGraph:
         def number(name: str) -> Scalar:
             return row[slot.times[name]]
 
-        def drawn(count: int) -> Array:
+        def drawn(count: int) -> Sequence[Array]:
             seq = jnp.asarray(number("seq"), jnp.int32)
-            if info.name in moment.noise:
-                return moment.noise[info.name][seq]
-            return jax.random.normal(jax.random.fold_in(moment.keys[2 * slot.node], seq), (count,))
+            if info.name not in moment.noise:
+                return normals(words(moment.key, slot.node), seq, count)
+            given = lax.dynamic_index_in_dim(moment.noise[info.name], seq, keepdims=False)
+            return [given[place] for place in range(count)]
 
         def key() -> Array:
-            return jax.random.fold_in(moment.keys[2 * slot.node + 1], jnp.asarray(number("seq"), jnp.int32))
+            own = jax.random.fold_in(moment.key, STREAMS + slot.node)
+            return jax.random.fold_in(own, jnp.asarray(number("seq"), jnp.int32))
 
         return Step(number, inputs, key, drawn)
 

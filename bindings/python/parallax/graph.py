@@ -89,9 +89,9 @@ class Graph:
         """Draws the schedules of `episodes` runs of `duration` seconds; a seed gives the same ones on every machine."""
         return self._native.generate(seed, duration, episodes)
 
-    def episode(self, recording: str | os.PathLike[str]) -> Episodes:
-        """The schedule of a recording of this graph."""
-        return self._native.recorded(recording)
+    def episodes(self, *recordings: str | os.PathLike[str]) -> Episodes:
+        """The schedules of recordings of this graph."""
+        return self._native.recorded(recordings)
 
     def compile(
         self,

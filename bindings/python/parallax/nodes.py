@@ -91,7 +91,7 @@ class Step:
     """What a node's step sees. Times are seconds since the run's start."""
 
     def __init__(
-        self, times: Callable[[str], Scalar], inputs: dict[str, Window], key: Callable[[], Array], noise: Callable[[int], Array]
+        self, times: Callable[[str], Scalar], inputs: dict[str, Window], key: Callable[[], Array], noise: Callable[[int], Sequence[Array]]
     ) -> None:
         self._times = times
         self._key = key
@@ -121,6 +121,10 @@ class Step:
 
     def noise(self, count: int) -> Array:
         """Independent standard normal numbers `[count]`, those that were given to the rollout or else drawn."""
+        return jnp.stack(self.normals(count))
+
+    def normals(self, count: int) -> Sequence[Array]:
+        """As `noise`, one by one."""
         return self._noise(count)
 
     def __getitem__(self, port: str) -> Window:
@@ -197,7 +201,7 @@ class ModelNode:
             "params": flat(self._params[0], params, "the node's parameters"),
             "state": flat(self._state[0], state, "the node's state"),
         }
-        noise: Array | None = None
+        noise: Sequence[Array] | None = None
         messages: dict[tuple[str, int], list[Scalar]] = {}
         values: list[Scalar] = []
         for place, source in enumerate(self._sources):
@@ -210,7 +214,7 @@ class ModelNode:
                 case ("time", name):
                     values.append(getattr(step, name))
                 case ("noise", index):
-                    noise = step.noise(self.noise) if noise is None else noise
+                    noise = step.normals(self.noise) if noise is None else noise
                     values.append(noise[index])
                 case ("stamp", port, index, stamp):
                     values.append(getattr(step[port][index], stamp))
