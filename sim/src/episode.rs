@@ -218,6 +218,49 @@ impl Episode {
         Ok(())
     }
 
+    /// Whether its shape is that of `graph`, as a sentence about what is not.
+    ///
+    /// # Errors
+    ///
+    /// The first thing that does not fit.
+    pub fn check(&self, graph: &Graph) -> Result<(), String> {
+        let (nodes, connections) = (graph.nodes(), graph.connections());
+        if self.nodes.len() != nodes.len() || self.connections.len() != connections.len() {
+            return Err(format!(
+                "it has {} nodes and {} connections, the graph has {} and {}",
+                self.nodes.len(),
+                self.connections.len(),
+                nodes.len(),
+                connections.len()
+            ));
+        }
+        for (plan, steps) in nodes.iter().zip(&self.nodes) {
+            if steps.due.len() != steps.len() || steps.end.len() != steps.len() {
+                return Err(format!("node `{}` has not as many due times and ends as starts", plan.name));
+            }
+            let orderly = |pair: &[Nanos]| pair[0] <= pair[1];
+            if !steps.start.windows(2).all(orderly) || !steps.end.windows(2).all(orderly) {
+                return Err(format!("the steps of node `{}` are not in the order of time", plan.name));
+            }
+        }
+        for (index, (plan, consumption)) in connections.iter().zip(&self.connections).enumerate() {
+            let name = || graph.connection_name(index);
+            let (sent, steps) = (self.nodes[plan.from].len() as i64, self.nodes[plan.to].len());
+            if consumption.window != plan.window {
+                return Err(format!("{} has window {}, not {}", name(), consumption.window, plan.window));
+            }
+            if consumption.seq.len() != steps * plan.window
+                || consumption.received.len() != steps * plan.window
+            {
+                return Err(format!("{} has not one window for each of {steps} steps", name()));
+            }
+            if let Some(seq) = consumption.seq.iter().find(|&&seq| seq < -1 || seq >= sent) {
+                return Err(format!("{} saw message {seq}, but {sent} were sent", name()));
+            }
+        }
+        Ok(())
+    }
+
     /// How many steps ran in all.
     pub fn steps(&self) -> usize {
         self.nodes.iter().map(NodeSteps::len).sum()

@@ -51,6 +51,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+pub mod compiled;
 pub mod delays;
 pub mod episode;
 mod event;
