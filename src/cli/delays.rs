@@ -132,23 +132,25 @@ pub(crate) fn describe(delay: &Delay) -> String {
     };
     match delay {
         Delay::Constant { seconds: 0.0 } => "none".into(),
-        Delay::Constant { seconds } => output::seconds(*seconds),
-        Delay::Normal { mean, std } => pair(*mean, *std),
+        Delay::Constant { seconds } => format!("constant {}", output::seconds(*seconds)),
+        Delay::Normal { mean, std } => format!("normal {}", pair(*mean, *std)),
         Delay::Mixture { weights, means, stds } => {
             let sum: f64 = weights.iter().sum();
             let parts = weights.iter().zip(means).zip(stds);
             let parts: Vec<String> = parts
                 .map(|((weight, mean), std)| format!("{:.0} %: {}", 100.0 * weight / sum, pair(*mean, *std)))
                 .collect();
-            parts.join(", ")
+            format!("mixture {}", parts.join(", "))
         }
         Delay::LogNormal { mean, std } => format!("log-normal {}", pair(*mean, *std)),
         Delay::Gamma { mean, std } => format!("gamma {}", pair(*mean, *std)),
-        Delay::Uniform { low, high } => format!("{} to {}", output::seconds(*low), output::seconds(*high)),
-        Delay::Empirical { samples } => {
-            format!("{} observed, mean {}", samples.len(), output::seconds(delay.expected()))
+        Delay::Uniform { low, high } => {
+            format!("uniform {} to {}", output::seconds(*low), output::seconds(*high))
         }
-        Delay::Correlated { correlation, of } => format!("{}; correlation {correlation:.2}", describe(of)),
+        Delay::Empirical { samples } => {
+            format!("empirical, {} samples, mean {}", samples.len(), output::seconds(delay.expected()))
+        }
+        Delay::Correlated { correlation, of } => format!("{}, correlation {correlation:.2}", describe(of)),
         Delay::Output { leaf, min, max, .. } => {
             format!("by output {leaf}, {} to {}", output::seconds(*min), output::seconds(*max))
         }

@@ -91,8 +91,7 @@ pub fn fit(measured: &Measured) -> Option<DelayFit> {
     let count = delays.len() as f64;
     let sum: i128 = delays.iter().map(|&delay| i128::from(delay)).sum();
     let mean = sum as f64 / count * 1e-9;
-    let variance =
-        delays.iter().map(|&delay| (delay as f64 * 1e-9 - mean).powi(2)).sum::<f64>() / count;
+    let variance = delays.iter().map(|&delay| (delay as f64 * 1e-9 - mean).powi(2)).sum::<f64>() / count;
     let constant = matches!(single, Delay::Constant { .. });
     Some(DelayFit {
         place: place.clone(),

@@ -6,10 +6,10 @@
 //! likelihood of classifications (ICL) asks for separate clusters instead, which a schedule does not need: overlapping
 //! components that describe a skewed delay are wanted.
 //!
-//! **Outliers.** Every candidate is fitted with and without a uniform background over the range of the data. Delays that
-//! more probably belong to the background, or to components of less than [`SUBSTANTIAL`] of all delays that lie more than
-//! [`FAR`] standard deviations from every larger component, are outliers: counted, reported, and not part of the fit. A
-//! background of more than [`SUBSTANTIAL`] is no explanation; components must then describe what it held.
+//! **Outliers.** Every candidate is fitted with and without a uniform background over the range of the data. What lies more
+//! than [`FAR`] standard deviations from every component, and more probably belongs to the background or to components of
+//! less than [`SUBSTANTIAL`] of all delays, is an outlier: counted, reported, and not part of the fit. A background of more
+//! than [`SUBSTANTIAL`] is no explanation; components must then describe what it held.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -19,7 +19,7 @@ use super::em::{Component, Mixture, NARROWEST};
 
 /// Shares below this may be outliers.
 pub(super) const SUBSTANTIAL: f64 = 0.03;
-/// How many standard deviations of every substantial component a small one lies away when its delays are outliers.
+/// How many standard deviations of every component that is kept an outlier lies away at least.
 const FAR: f64 = 6.0;
 /// A component describes at least so many delays, and this share of them: fewer are no evidence of a shape.
 const LEAST: (f64, f64) = (8.0, 0.008);
@@ -40,7 +40,6 @@ pub(super) struct Found {
 /// Fits mixtures of 1 to `most` components and takes the best.
 pub(super) fn find(cells: &Cells, most: usize) -> Found {
     let mut random = ChaCha8Rng::seed_from_u64(0x6465_6c61_7973);
-    let least = LEAST.0.max(LEAST.1 * cells.total);
     let coarse = cells.coarse(GROUPS);
     let mut best: Option<(f64, Mixture)> = None;
     let mut before: Option<Mixture> = None;
@@ -53,7 +52,7 @@ pub(super) fn find(cells: &Cells, most: usize) -> Found {
             else {
                 continue;
             };
-            if count > 1 && mixture.components.iter().any(|c| c.weight * cells.total < least) {
+            if count > 1 && small(&mixture, cells) {
                 continue;
             }
             let criterion = criterion(&mixture, cells.total);
@@ -81,6 +80,12 @@ pub(super) fn find(cells: &Cells, most: usize) -> Found {
         None => moments(cells),
     };
     settle(cells, mixture)
+}
+
+/// Whether a component describes too few delays.
+fn small(mixture: &Mixture, cells: &Cells) -> bool {
+    let least = LEAST.0.max(LEAST.1 * cells.total);
+    mixture.components.iter().any(|c| c.weight * cells.total < least)
 }
 
 fn criterion(mixture: &Mixture, total: f64) -> f64 {
@@ -131,6 +136,10 @@ fn candidate(
     for components in starts {
         let mut mixture = with_components(components, background);
         mixture.fit(cells, ITERATIONS.0, TOLERANCE.0);
+        // A start that lost itself in a few delays has a great likelihood and describes nothing.
+        if count > 1 && small(&mixture, cells) {
+            continue;
+        }
         if best.as_ref().is_none_or(|best| mixture.log_likelihood > best.log_likelihood) {
             best = Some(mixture);
         }
@@ -247,7 +256,11 @@ fn settle(cells: &Cells, mixture: Mixture) -> Found {
         |c: &Component| large.iter().any(|l| (c.mean - l.mean).abs() <= FAR * l.std.max(2.0 * cells.half));
     let keep: Vec<bool> = mixture.components.iter().map(|c| c.weight >= SUBSTANTIAL || near(c)).collect();
     let strange = mixture.strangeness(cells, &keep);
-    let mut kept: Vec<bool> = strange.iter().map(|p| *p <= 0.5).collect();
+    let far = |x: f64| {
+        let kept = mixture.components.iter().zip(&keep).filter(|(_, keep)| **keep);
+        kept.into_iter().all(|(c, _)| (x - c.mean).abs() > FAR * c.std.max(2.0 * cells.half))
+    };
+    let mut kept: Vec<bool> = strange.iter().zip(&cells.x).map(|(p, x)| *p <= 0.5 || !far(*x)).collect();
     let Some(rest) = cells.filtered(&kept) else {
         kept.fill(true);
         return Found { components: mixture.components, kept };

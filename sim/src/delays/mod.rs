@@ -7,8 +7,8 @@
 //!
 //! - The number of components is the one with the smallest Bayesian information criterion, at most
 //!   [`MOST_COMPONENTS`].
-//! - Outliers are what a uniform background explains better than the components, and components of less than 3 % of all
-//!   samples that lie more than 6 standard deviations from every larger one. They are counted and left out.
+//! - Outliers lie more than 6 standard deviations from every component and are better explained by a uniform background, or
+//!   by a component of less than 3 % of all samples. They are counted and left out.
 //! - Ties and coarse clocks: the likelihood is that of intervals as wide as the clock's step, so a component cannot shrink
 //!   into a tie. What never changes becomes a constant.
 //! - Samples at zero stand for all that would lie below it.
