@@ -51,6 +51,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+pub mod batch;
 pub mod compiled;
 pub mod delays;
 pub mod episode;
@@ -59,8 +60,10 @@ mod executor;
 mod generate;
 mod replay;
 pub mod supergraph;
+mod trajectory;
 
 pub use episode::Episode;
 pub use executor::{ConnectionAccount, Executor, Outcome, SimError};
 pub use generate::{generate, generate_many};
 pub use replay::{Difference, NodeReplay, Override, ReplayError, ReplayOptions, ReplayReport, replay};
+pub use trajectory::{NodeTrajectory, trajectories};

@@ -1,0 +1,193 @@
+//! What differs from environment to environment.
+
+use parallax_runtime::random::derived;
+
+use super::{Batch, BatchError};
+
+/// Outputs that a node does not compute.
+#[derive(Debug, Clone, Copy)]
+pub enum Given<'a> {
+    /// Every environment's own: `[environment][step][leaf]`, the steps being the node's own.
+    PerEnvironment {
+        /// How many steps there are.
+        steps: usize,
+        /// The leaves.
+        values: &'a [f64],
+    },
+    /// The same for all environments of an episode, such as what was recorded: `[episode][step][leaf]`.
+    PerEpisode {
+        /// How many steps there are.
+        steps: usize,
+        /// The leaves.
+        values: &'a [f64],
+    },
+}
+
+impl Given<'_> {
+    #[inline(always)]
+    pub(super) fn message(&self, environment: usize, episode: usize, seq: usize, leaves: usize) -> &[f64] {
+        let (steps, values, row) = match self {
+            Given::PerEnvironment { steps, values } => (steps, values, environment),
+            Given::PerEpisode { steps, values } => (steps, values, episode),
+        };
+        &values[(row * steps + seq) * leaves..][..leaves]
+    }
+}
+
+/// Environments of a [`Batch`]: at first all alike but for their noise, with the episodes dealt out in turn.
+#[derive(Debug, Clone)]
+pub struct Environments<'a> {
+    batch: &'a Batch<'a>,
+    pub(super) episodes: Vec<u32>,
+    pub(super) seeds: Vec<u64>,
+    /// `[node]`, each `[environment][leaf]`.
+    pub(super) params: Vec<Vec<f64>>,
+    pub(super) states: Vec<Vec<f64>>,
+    /// Per connection, `[environment]`; empty where the delay is not trainable.
+    pub(super) alphas: Vec<Vec<f64>>,
+    pub(super) given: Vec<Option<Given<'a>>>,
+}
+
+impl<'a> Environments<'a> {
+    pub(super) fn new(batch: &'a Batch<'a>, count: usize) -> Self {
+        let repeat = |leaves: &[f64]| leaves.repeat(count);
+        let trainable = |connection: usize| {
+            let inputs = batch.compiled.slots.iter().flat_map(|slot| &slot.rows.inputs);
+            inputs.filter(|input| input.trainable.is_some()).any(|input| input.connection == connection)
+        };
+        Self {
+            batch,
+            episodes: (0..count).map(|index| (index % batch.compiled.episodes) as u32).collect(),
+            seeds: (0..count).map(|index| derived(batch.seed, &format!("environment {index}"))).collect(),
+            params: batch.nodes.iter().map(|node| repeat(&node.params)).collect(),
+            states: batch.nodes.iter().map(|node| repeat(&node.state)).collect(),
+            alphas: (0..batch.connections.len())
+                .map(|connection| if trainable(connection) { vec![0.0; count] } else { Vec::new() })
+                .collect(),
+            given: vec![None; batch.nodes.len()],
+        }
+    }
+
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.episodes.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.episodes.is_empty()
+    }
+
+    /// Sets every environment's episode.
+    ///
+    /// # Errors
+    ///
+    /// [`BatchError::Count`] and [`BatchError::NoEpisode`].
+    pub fn set_episodes(&mut self, episodes: &[u32]) -> Result<&mut Self, BatchError> {
+        self.check_count("episodes", episodes.len(), self.len())?;
+        let available = self.batch.compiled.episodes;
+        if let Some(&episode) = episodes.iter().find(|&&episode| episode as usize >= available) {
+            return Err(BatchError::NoEpisode { episode, episodes: available });
+        }
+        self.episodes.copy_from_slice(episodes);
+        Ok(self)
+    }
+
+    /// Sets every environment's seed, from which its nodes' noise is drawn as in a run with that seed.
+    ///
+    /// # Errors
+    ///
+    /// [`BatchError::Count`].
+    pub fn set_seeds(&mut self, seeds: &[u64]) -> Result<&mut Self, BatchError> {
+        self.check_count("seeds", seeds.len(), self.len())?;
+        self.seeds.copy_from_slice(seeds);
+        Ok(self)
+    }
+
+    /// Sets one parameter of a node, one value for each environment.
+    ///
+    /// # Errors
+    ///
+    /// [`BatchError::NoNode`], [`BatchError::NoLeaf`] and [`BatchError::Count`].
+    pub fn set_param(&mut self, node: &str, leaf: &str, values: &[f64]) -> Result<&mut Self, BatchError> {
+        let index = self.batch.node(node)?;
+        let names = self.batch.nodes[index].model.as_ref().map_or_else(Vec::new, |model| model.params());
+        let place = find_leaf(node, "parameter", leaf, &names)?;
+        self.check_count("values of a parameter", values.len(), self.len())?;
+        set_column(&mut self.params[index], names.len(), place, values);
+        Ok(self)
+    }
+
+    /// Sets one leaf of a node's state before its first step, one value for each environment.
+    ///
+    /// # Errors
+    ///
+    /// As [`set_param`](Self::set_param).
+    pub fn set_state(&mut self, node: &str, leaf: &str, values: &[f64]) -> Result<&mut Self, BatchError> {
+        let index = self.batch.node(node)?;
+        let names = self.batch.nodes[index].model.as_ref().map_or_else(Vec::new, |model| model.state());
+        let place = find_leaf(node, "state", leaf, &names)?;
+        self.check_count("values of a state", values.len(), self.len())?;
+        set_column(&mut self.states[index], names.len(), place, values);
+        Ok(self)
+    }
+
+    /// Sets a trainable delay's place between its bounds, from 0 to 1, one for each environment. At first it is 0.
+    ///
+    /// # Errors
+    ///
+    /// [`BatchError::NotTrainable`] and [`BatchError::Count`].
+    pub fn set_delay(&mut self, connection: &str, alphas: &[f64]) -> Result<&mut Self, BatchError> {
+        let found = self.batch.connections.iter().position(|name| name == connection);
+        let trainable = found.filter(|&index| !self.alphas[index].is_empty() || self.is_empty());
+        let Some(index) = trainable else {
+            return Err(BatchError::NotTrainable { connection: connection.to_owned() });
+        };
+        self.check_count("places of a delay", alphas.len(), self.len())?;
+        self.alphas[index].copy_from_slice(alphas);
+        Ok(self)
+    }
+
+    /// Gives the outputs of a node that was pinned when the graph was compiled, such as actions drawn beforehand.
+    ///
+    /// # Errors
+    ///
+    /// [`BatchError::NoNode`], [`BatchError::NotPinned`], [`BatchError::Count`] and [`BatchError::GivenSteps`].
+    pub fn give(&mut self, node: &str, given: Given<'a>) -> Result<&mut Self, BatchError> {
+        let index = self.batch.node(node)?;
+        if !self.batch.compiled.nodes[index].pinned {
+            return Err(BatchError::NotPinned { node: node.to_owned() });
+        }
+        let leaves = self.batch.nodes[index].initial.len();
+        let (rows, steps, found) = match given {
+            Given::PerEnvironment { steps, values } => (self.len(), steps, values.len()),
+            Given::PerEpisode { steps, values } => (self.batch.compiled.episodes, steps, values.len()),
+        };
+        self.check_count("given numbers", found, rows * steps * leaves)?;
+        let needed = self.batch.steps_of(index);
+        if steps < needed {
+            return Err(BatchError::GivenSteps { node: node.to_owned(), steps, needed });
+        }
+        self.given[index] = Some(given);
+        Ok(self)
+    }
+
+    fn check_count(&self, what: &'static str, found: usize, expected: usize) -> Result<(), BatchError> {
+        if found == expected { Ok(()) } else { Err(BatchError::Count { what, found, expected }) }
+    }
+}
+
+fn find_leaf(node: &str, what: &'static str, leaf: &str, names: &[String]) -> Result<usize, BatchError> {
+    names.iter().position(|name| name == leaf).ok_or_else(|| BatchError::NoLeaf {
+        node: node.to_owned(),
+        what,
+        leaf: leaf.to_owned(),
+        known: names.join(", "),
+    })
+}
+
+fn set_column(rows: &mut [f64], width: usize, place: usize, values: &[f64]) {
+    for (row, value) in rows.chunks_exact_mut(width).zip(values) {
+        row[place] = *value;
+    }
+}

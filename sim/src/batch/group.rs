@@ -1,0 +1,236 @@
+//! Environments of one episode, stepped together through its passes.
+
+use parallax_model::node_model::{NodeStep, Scratch};
+use parallax_runtime::random::{Purpose, stream};
+use parallax_runtime::time::to_seconds;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::environments::{Environments, Given};
+use super::inputs::{History, Selected, SlotInputs};
+use super::number::Number;
+use super::{Batch, Moment};
+
+/// Everything that one group of environments needs; nothing is allocated while it runs.
+pub(super) struct Group<'a, T: Number> {
+    batch: &'a Batch<'a>,
+    environments: &'a Environments<'a>,
+    /// Which environments, in the order of the lanes.
+    members: &'a [usize],
+    blocks: usize,
+    nodes: Vec<Node<T>>,
+    histories: Vec<History<T>>,
+    /// `[slot][port]`
+    selected: Vec<Vec<Selected<T>>>,
+    /// The delays' places between their bounds, `[connection][lane]`; empty where they are not trainable.
+    alphas: Vec<Vec<f64>>,
+    /// The place of every node's newest output.
+    newest: Vec<u32>,
+    output: Vec<T>,
+    scratch: Scratch<T>,
+}
+
+/// One node's numbers, for every block.
+struct Node<T> {
+    params: Vec<T>,
+    state: Vec<T>,
+    /// How many leaves they have for each block.
+    leaves: [usize; 2],
+    noise: Vec<T>,
+    /// One stream for each environment; none where nothing is drawn.
+    random: Vec<ChaCha8Rng>,
+    /// The step whose numbers come next from the streams.
+    next: i32,
+}
+
+impl<'a, T: Number> Group<'a, T> {
+    pub(super) fn new(
+        batch: &'a Batch<'a>,
+        environments: &'a Environments<'a>,
+        members: &'a [usize],
+    ) -> Self {
+        let compiled = batch.compiled;
+        let blocks = members.len().div_ceil(T::LANES);
+        let nodes = batch.nodes.iter().enumerate().map(|(index, node)| {
+            let noise = node.model.as_ref().map_or(0, |model| model.noise());
+            let random = members.iter().map(|&member| {
+                stream(environments.seeds[member], Purpose::Node, &compiled.nodes[index].name)
+            });
+            Node {
+                params: gather(&environments.params[index], node.params.len(), members, blocks),
+                state: gather(&environments.states[index], node.state.len(), members, blocks),
+                leaves: [node.params.len(), node.state.len()],
+                noise: vec![T::constant(0.0); noise],
+                random: if noise > 0 { random.collect() } else { Vec::new() },
+                next: 0,
+            }
+        });
+        let histories: Vec<History<T>> = batch
+            .nodes
+            .iter()
+            .zip(&compiled.nodes)
+            .map(|(node, compiled)| History::new(&node.initial, compiled.history, blocks))
+            .collect();
+        let selected = compiled.slots.iter().map(|slot| {
+            slot.rows.inputs.iter().map(|input| Selected::new(input, histories[input.from].leaves)).collect()
+        });
+        let lanes = (0..blocks * T::LANES).map(|lane| members[lane.min(members.len() - 1)]);
+        let alphas = environments.alphas.iter().map(|alphas| {
+            if alphas.is_empty() { Vec::new() } else { lanes.clone().map(|member| alphas[member]).collect() }
+        });
+        let widest = batch.nodes.iter().map(|node| node.initial.len()).max().unwrap_or(0);
+        Self {
+            batch,
+            environments,
+            members,
+            blocks,
+            nodes: nodes.collect(),
+            selected: selected.collect(),
+            alphas: alphas.collect(),
+            newest: vec![0; histories.len()],
+            histories,
+            output: vec![T::constant(0.0); widest],
+            scratch: Scratch::default(),
+        }
+    }
+
+    /// Runs all passes of the episode. `made` is called for every output, `passed` after every pass.
+    pub(super) fn run(&mut self, mut made: impl FnMut(&Made<'_, T>), mut passed: impl FnMut(&Moment<'_>)) {
+        let compiled = self.batch.compiled;
+        let episode = self.environments.episodes[self.members[0]] as usize;
+        let passes = compiled.warm_up + compiled.lengths[episode] as usize;
+        for pass in 0..passes {
+            let row = compiled.row(episode, pass);
+            for (index, slot) in compiled.slots.iter().enumerate() {
+                if slot.rows.run[row] == 0 {
+                    continue;
+                }
+                let (node, seq, write) = (slot.node, slot.rows.seq[row], slot.rows.write[row]);
+                match self.environments.given.get(node).and_then(Option::as_ref) {
+                    Some(given) => self.give(node, given, episode, seq, write),
+                    None => self.step(index, row),
+                }
+                self.newest[node] = write;
+                made(&Made { node, seq, place: write, histories: &self.histories, members: self.members });
+            }
+            let output = |node: usize, position: usize, leaf: usize| {
+                let message = self.histories[node].message(position / T::LANES, self.newest[node]);
+                message[leaf].get(position % T::LANES)
+            };
+            passed(&Moment {
+                pass,
+                step: pass.checked_sub(compiled.warm_up),
+                members: self.members,
+                output: &output,
+            });
+        }
+    }
+
+    /// Every block's step in a slot.
+    #[inline(always)]
+    fn step(&mut self, index: usize, row: usize) {
+        let slot = &self.batch.compiled.slots[index];
+        let rows = &slot.rows;
+        let shape = &self.batch.nodes[slot.node];
+        let Some(model) = shape.model.as_deref() else { return };
+        let node = &mut self.nodes[slot.node];
+        let start = to_seconds(rows.start[row]);
+        let times = [f64::from(rows.seq[row]), to_seconds(rows.due[row]), start].map(T::constant);
+        let skipped = rows.seq[row] - node.next;
+        node.next = rows.seq[row] + 1;
+        let [params, state] = node.leaves;
+        for block in 0..self.blocks {
+            if !node.random.is_empty() {
+                let first = block * T::LANES;
+                for (lane, random) in node.random[first..].iter_mut().take(T::LANES).enumerate() {
+                    // Steps on which nothing depends do not run, but have their numbers.
+                    for _ in 0..skipped.max(0) as usize * node.noise.len() {
+                        let _: f64 = StandardNormal.sample(random);
+                    }
+                    for noise in &mut node.noise {
+                        noise.set(lane, StandardNormal.sample(random));
+                    }
+                }
+            }
+            for (input, selected) in rows.inputs.iter().zip(&mut self.selected[index]) {
+                if let Some(delay) = &input.trainable {
+                    let alphas = &self.alphas[input.connection][block * T::LANES..(block + 1) * T::LANES];
+                    selected.select(delay, input, row, start, &self.histories[input.from], block, alphas);
+                }
+            }
+            let inputs = SlotInputs {
+                ports: &shape.ports,
+                inputs: &rows.inputs,
+                selected: &self.selected[index],
+                row,
+                histories: &self.histories,
+                block,
+            };
+            let output = &mut self.output[..shape.initial.len()];
+            T::step(
+                model,
+                &node.params[block * params..(block + 1) * params],
+                &mut node.state[block * state..(block + 1) * state],
+                &NodeStep::new(times, &node.noise, &inputs),
+                &mut self.scratch,
+                output,
+            );
+            self.histories[slot.node].message_mut(block, rows.write[row]).copy_from_slice(output);
+        }
+    }
+
+    /// Writes a given output into the history.
+    fn give(&mut self, node: usize, given: &Given<'_>, episode: usize, seq: i32, write: u32) {
+        let leaves = self.batch.nodes[node].initial.len();
+        for block in 0..self.blocks {
+            let message = self.histories[node].message_mut(block, write);
+            for lane in 0..T::LANES {
+                let member = self.members[(block * T::LANES + lane).min(self.members.len() - 1)];
+                let from = given.message(member, episode, seq as usize, leaves);
+                for (leaf, value) in message.iter_mut().zip(from) {
+                    leaf.set(lane, *value);
+                }
+            }
+        }
+    }
+
+    /// The states after the last step, one list of leaves for each node and member.
+    pub(super) fn state(&self, node: usize, position: usize) -> impl Iterator<Item = f64> {
+        let leaves = self.nodes[node].leaves[1];
+        let (block, lane) = (position / T::LANES, position % T::LANES);
+        self.nodes[node].state[block * leaves..(block + 1) * leaves].iter().map(move |leaf| leaf.get(lane))
+    }
+}
+
+/// An output that was just made, by all environments of a group.
+pub(super) struct Made<'a, T> {
+    pub(super) node: usize,
+    pub(super) seq: i32,
+    place: u32,
+    histories: &'a [History<T>],
+    members: &'a [usize],
+}
+
+impl<T: Number> Made<'_, T> {
+    /// Calls `see` with every environment's place in the group and its message's leaves.
+    pub(super) fn each(&self, mut see: impl FnMut(usize, usize, f64)) {
+        for position in 0..self.members.len() {
+            let message = self.histories[self.node].message(position / T::LANES, self.place);
+            for (leaf, value) in message.iter().enumerate() {
+                see(position, leaf, value.get(position % T::LANES));
+            }
+        }
+    }
+}
+
+/// Rows of environments as blocks of lanes: `[block][leaf]`. Lanes without an environment repeat the last one.
+fn gather<T: Number>(rows: &[f64], leaves: usize, members: &[usize], blocks: usize) -> Vec<T> {
+    let mut values = vec![T::constant(0.0); blocks * leaves];
+    for lane in 0..blocks * T::LANES {
+        let member = members[lane.min(members.len() - 1)];
+        for leaf in 0..leaves {
+            values[lane / T::LANES * leaves + leaf].set(lane % T::LANES, rows[member * leaves + leaf]);
+        }
+    }
+    values
+}

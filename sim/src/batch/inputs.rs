@@ -1,0 +1,153 @@
+//! What a step of a block reads: histories at the places that the tables name, or what a trainable delay selects.
+
+use parallax_model::node_model::StepInputs;
+use parallax_runtime::time::to_seconds;
+
+use super::number::Number;
+use crate::compiled::{InputRows, Interpolation, TrainableDelay};
+
+/// The last outputs of one node, for every block of a group: `[block][place][leaf]`.
+#[derive(Debug)]
+pub(super) struct History<T> {
+    pub(super) leaves: usize,
+    places: usize,
+    values: Vec<T>,
+}
+
+impl<T: Number> History<T> {
+    /// The initial message in all places.
+    pub(super) fn new(initial: &[f64], places: usize, blocks: usize) -> Self {
+        let message = initial.iter().map(|&value| T::constant(value));
+        let values = message.cycle().take(initial.len() * places * blocks).collect();
+        Self { leaves: initial.len(), places, values }
+    }
+
+    #[inline(always)]
+    pub(super) fn message(&self, block: usize, place: u32) -> &[T] {
+        let first = (block * self.places + place as usize) * self.leaves;
+        &self.values[first..first + self.leaves]
+    }
+
+    #[inline(always)]
+    pub(super) fn message_mut(&mut self, block: usize, place: u32) -> &mut [T] {
+        let first = (block * self.places + place as usize) * self.leaves;
+        &mut self.values[first..first + self.leaves]
+    }
+}
+
+/// The messages of a port with a trainable delay: they differ from environment to environment.
+#[derive(Debug)]
+pub(super) struct Selected<T> {
+    /// `[place in the window][leaf]`
+    values: Vec<T>,
+    stamps: Vec<[T; 3]>,
+    leaves: usize,
+}
+
+impl<T: Number> Selected<T> {
+    /// Room for what `input` reads from messages of so many leaves; none where its delay is not trainable.
+    pub(super) fn new(input: &InputRows, leaves: usize) -> Self {
+        let window = if input.trainable.is_some() { input.window } else { 0 };
+        let zero = T::constant(0.0);
+        Self { values: vec![zero; window * leaves], stamps: vec![[zero; 3]; window], leaves }
+    }
+
+    /// Selects, for every environment of a block, the messages that a step at `start` (s) sees under its own delay.
+    pub(super) fn select(
+        &mut self,
+        delay: &TrainableDelay,
+        input: &InputRows,
+        row: usize,
+        start: f64,
+        history: &History<T>,
+        block: usize,
+        alphas: &[f64],
+    ) {
+        let rows = row * input.candidates..(row + 1) * input.candidates;
+        let (seqs, read) = (&input.seq[rows.clone()], &input.read[rows.clone()]);
+        let sent = |candidate: usize| to_seconds(input.sent[rows.start + candidate]);
+        let (min, max) = (to_seconds(delay.min), to_seconds(delay.max));
+        let last = input.candidates - 1;
+        for (lane, alpha) in alphas.iter().enumerate() {
+            let seconds = min + alpha.clamp(0.0, 1.0) * (max - min);
+            let until = start - seconds;
+            let arrived = |candidate: usize| {
+                let on_time = if delay.skip { sent(candidate) < until } else { sent(candidate) <= until };
+                on_time || seqs[candidate] < 0
+            };
+            // The newest that has arrived; at least a whole window has under the longest delay.
+            let mut newest = input.window - 1;
+            while newest < last && arrived(newest + 1) {
+                newest += 1;
+            }
+            for index in 0..input.window {
+                let held = newest + 1 - input.window + index;
+                let initial = seqs[held] < 0;
+                let received = if initial { 0.0 } else { sent(held) + seconds };
+                let stamps = [f64::from(seqs[held]), sent(held), received];
+                for (stamp, value) in self.stamps[index].iter_mut().zip(stamps) {
+                    stamp.set(lane, value);
+                }
+                let message = history.message(block, read[held]);
+                let (after, share) = match delay.interpolation {
+                    Interpolation::Hold => (held, 0.0),
+                    // Before the first message and after the last it holds.
+                    Interpolation::Linear if initial || held == last => (held, 0.0),
+                    Interpolation::Linear => {
+                        let look = until - (sent(newest) - sent(held));
+                        let gap = sent(held + 1) - sent(held);
+                        (held + 1, if gap > 0.0 { ((look - sent(held)) / gap).clamp(0.0, 1.0) } else { 0.0 })
+                    }
+                };
+                let after = history.message(block, read[after]);
+                let to = &mut self.values[index * self.leaves..(index + 1) * self.leaves];
+                for ((to, message), after) in to.iter_mut().zip(message).zip(after) {
+                    let (a, b) = (message.get(lane), after.get(lane));
+                    to.set(lane, if share == 0.0 { a } else { a + share * (b - a) });
+                }
+            }
+        }
+    }
+}
+
+/// The inputs of one step of one block.
+pub(super) struct SlotInputs<'a, T> {
+    pub(super) ports: &'a [String],
+    pub(super) inputs: &'a [InputRows],
+    pub(super) selected: &'a [Selected<T>],
+    pub(super) row: usize,
+    pub(super) histories: &'a [History<T>],
+    pub(super) block: usize,
+}
+
+impl<T: Number> StepInputs<T> for SlotInputs<'_, T> {
+    #[inline]
+    fn port(&self, name: &str) -> Option<usize> {
+        self.ports.iter().position(|port| port == name)
+    }
+    #[inline]
+    fn window(&self, port: usize) -> usize {
+        self.inputs[port].window
+    }
+    #[inline]
+    fn stamp(&self, port: usize, index: usize) -> [T; 3] {
+        let input = &self.inputs[port];
+        if input.trainable.is_some() {
+            return self.selected[port].stamps[index];
+        }
+        let place = self.row * input.candidates + index;
+        let stamps =
+            [f64::from(input.seq[place]), to_seconds(input.sent[place]), to_seconds(input.received[place])];
+        stamps.map(T::constant)
+    }
+    #[inline]
+    fn payload(&self, port: usize, index: usize) -> &[T] {
+        let input = &self.inputs[port];
+        if input.trainable.is_some() {
+            let selected = &self.selected[port];
+            return &selected.values[index * selected.leaves..(index + 1) * selected.leaves];
+        }
+        let place = input.read[self.row * input.candidates + index];
+        self.histories[input.from].message(self.block, place)
+    }
+}

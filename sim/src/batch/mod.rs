@@ -1,0 +1,417 @@
+//! Thousands of environments or parameter sets through a compiled graph, on lanes times threads.
+//!
+//! A [`Batch`] joins the tables of a [`CompiledGraph`] with the models of the graph's nodes. [`Environments`] says what
+//! differs: the episode, parameters, states, trainable delays, noise, outputs given from outside. Environments of one
+//! episode share its schedule, so they are stepped together: in blocks of lanes, several blocks to a group, groups on
+//! threads. Results do not depend on the number of threads, nor on what else is in the batch.
+//!
+//! With [`Precision::Double`] each environment is computed on plain `f64`: a step has the bits that the node itself
+//! computes from the same state, inputs and noise. Lanes agree with that to 1e-12 for each step.
+
+mod environments;
+mod group;
+mod inputs;
+mod number;
+
+use std::fmt;
+use std::sync::Arc;
+
+use parallax_model::lanes::{F32x32, F64x16};
+use parallax_model::node_model::ErasedModel;
+use parallax_runtime::graph::Graph;
+use parallax_runtime::node::NodeError;
+use rayon::prelude::*;
+
+use crate::compiled::CompiledGraph;
+
+pub use environments::{Environments, Given};
+use group::Group;
+use number::Number;
+
+/// Environments of one group: enough that looking into the tables costs little, few enough to stay in the first cache.
+const GROUP: usize = 64;
+
+/// What environments are computed with.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Precision {
+    /// Plain `f64`, one environment at a time.
+    Double,
+    /// Sixteen environments at a time in double precision.
+    #[default]
+    DoubleLanes,
+    /// Thirty-two environments at a time in single precision.
+    SingleLanes,
+}
+
+/// Why a batch cannot run.
+#[derive(Debug, thiserror::Error)]
+pub enum BatchError {
+    /// The tables are not of this graph.
+    #[error("the compiled graph has {compiled} nodes, the graph {graph}; compile this graph")]
+    OtherGraph {
+        /// Nodes of the compiled graph.
+        compiled: usize,
+        /// Nodes of the graph.
+        graph: usize,
+    },
+    /// A node is plain Rust.
+    #[error(
+        "the kind of node `{node}` is no model: it cannot run in a batch; pin it when compiling and give its outputs"
+    )]
+    NoModel {
+        /// The node.
+        node: String,
+    },
+    /// A node does not start.
+    #[error(transparent)]
+    Start(#[from] NodeError),
+    /// There is no such node.
+    #[error("the graph has no node `{node}`")]
+    NoNode {
+        /// The name.
+        node: String,
+    },
+    /// There is no such leaf.
+    #[error("node `{node}` has no {what} `{leaf}`; it has {known}")]
+    NoLeaf {
+        /// The node.
+        node: String,
+        /// Parameter or state.
+        what: &'static str,
+        /// The name.
+        leaf: String,
+        /// The names that there are.
+        known: String,
+    },
+    /// A list has another length.
+    #[error("{found} {what}, expected {expected}")]
+    Count {
+        /// Of what.
+        what: &'static str,
+        /// How many there are.
+        found: usize,
+        /// How many there should be.
+        expected: usize,
+    },
+    /// There is no such episode.
+    #[error("there is no episode {episode}; {episodes} were compiled")]
+    NoEpisode {
+        /// The number.
+        episode: u32,
+        /// How many there are.
+        episodes: usize,
+    },
+    /// Outputs are given for a node that computes them.
+    #[error("node `{node}` computes its outputs; pin it when compiling to give them")]
+    NotPinned {
+        /// The node.
+        node: String,
+    },
+    /// Outputs of a pinned node are missing.
+    #[error("node `{node}` is pinned, but its outputs are not given")]
+    NotGiven {
+        /// The node.
+        node: String,
+    },
+    /// Too few outputs are given.
+    #[error("node `{node}` makes {needed} steps, but outputs of {steps} are given")]
+    GivenSteps {
+        /// The node.
+        node: String,
+        /// Steps given.
+        steps: usize,
+        /// Steps needed.
+        needed: usize,
+    },
+    /// A connection has no trainable delay.
+    #[error("`{connection}` is no connection whose delay was compiled as trainable")]
+    NotTrainable {
+        /// The connection.
+        connection: String,
+    },
+}
+
+/// A compiled graph with its models, ready to run.
+pub struct Batch<'a> {
+    compiled: &'a CompiledGraph,
+    nodes: Vec<BatchNode>,
+    connections: Vec<String>,
+    seed: u64,
+}
+
+/// What a node computes and starts with.
+struct BatchNode {
+    /// None where outputs are given.
+    model: Option<Arc<dyn ErasedModel>>,
+    ports: Vec<String>,
+    params: Vec<f64>,
+    state: Vec<f64>,
+    initial: Vec<f64>,
+}
+
+impl fmt::Debug for Batch<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let nodes: Vec<&str> = self.compiled.nodes.iter().map(|node| node.name.as_str()).collect();
+        f.debug_struct("Batch").field("nodes", &nodes).field("seed", &self.seed).finish_non_exhaustive()
+    }
+}
+
+impl<'a> Batch<'a> {
+    /// The models of `graph` behind the tables compiled from it. Parameters and states are those that nodes start with in
+    /// a run with this seed.
+    ///
+    /// # Errors
+    ///
+    /// [`BatchError::OtherGraph`], [`BatchError::NoModel`], and what a kind says about its node's parameters.
+    pub fn new(graph: &Graph, compiled: &'a CompiledGraph, seed: u64) -> Result<Self, BatchError> {
+        let plans = graph.nodes();
+        if plans.len() != compiled.nodes.len() {
+            return Err(BatchError::OtherGraph { compiled: compiled.nodes.len(), graph: plans.len() });
+        }
+        let mut nodes = Vec::with_capacity(plans.len());
+        for (index, plan) in plans.iter().enumerate() {
+            let ports = plan.kind.inputs().iter().map(|port| port.name.clone()).collect();
+            let initial = plan.kind.initial_message().to_vec();
+            let runs = compiled.slots.iter().any(|slot| slot.node == index);
+            nodes.push(if compiled.nodes[index].pinned || !runs {
+                BatchNode { model: None, ports, params: Vec::new(), state: Vec::new(), initial }
+            } else {
+                let kind = plan.kind.node_model();
+                let kind = kind.ok_or_else(|| BatchError::NoModel { node: plan.name.clone() })?;
+                let start = kind.start(&graph.context(index, seed))?;
+                let model = Some(Arc::clone(kind.model()));
+                BatchNode { model, ports, params: start.params, state: start.state, initial }
+            });
+        }
+        let connections = (0..graph.connections().len()).map(|index| graph.connection_name(index)).collect();
+        Ok(Self { compiled, nodes, connections, seed })
+    }
+
+    /// So many environments; change what should differ.
+    pub fn environments(&self, count: usize) -> Environments<'_> {
+        Environments::new(self, count)
+    }
+
+    fn node(&self, name: &str) -> Result<usize, BatchError> {
+        let found = self.compiled.nodes.iter().position(|node| node.name == name);
+        found.ok_or_else(|| BatchError::NoNode { node: name.to_owned() })
+    }
+
+    /// One more than the number of the node's last step in any episode.
+    fn steps_of(&self, node: usize) -> usize {
+        let slots = self.compiled.slots.iter().filter(|slot| slot.node == node);
+        let steps = slots.flat_map(|slot| slot.rows.seq.iter().zip(&slot.rows.run));
+        steps.filter(|(_, run)| **run != 0).map(|(seq, _)| *seq as usize + 1).max().unwrap_or(0)
+    }
+
+    /// Runs every environment through its episode and keeps the outputs of the nodes named.
+    ///
+    /// # Errors
+    ///
+    /// [`BatchError::NoNode`] and [`BatchError::NotGiven`].
+    pub fn rollout(
+        &self,
+        environments: &Environments<'_>,
+        precision: Precision,
+        keep: &[&str],
+    ) -> Result<Rollout, BatchError> {
+        match precision {
+            Precision::Double => self.rollout_on::<f64>(environments, keep),
+            Precision::DoubleLanes => self.rollout_on::<F64x16>(environments, keep),
+            Precision::SingleLanes => self.rollout_on::<F32x32>(environments, keep),
+        }
+    }
+
+    /// Runs every environment through its episode and reduces what happens: `start` makes a result for each group of
+    /// environments, and `each` sees it with every pass. Gives the results and the groups' environments.
+    ///
+    /// # Errors
+    ///
+    /// [`BatchError::NotGiven`].
+    pub fn fold<R: Send>(
+        &self,
+        environments: &Environments<'_>,
+        precision: Precision,
+        start: impl Fn(&[usize]) -> R + Sync,
+        each: impl Fn(&mut R, &Moment<'_>) + Sync,
+    ) -> Result<Vec<(Vec<usize>, R)>, BatchError> {
+        match precision {
+            Precision::Double => self.fold_on::<f64, R>(environments, start, each),
+            Precision::DoubleLanes => self.fold_on::<F64x16, R>(environments, start, each),
+            Precision::SingleLanes => self.fold_on::<F32x32, R>(environments, start, each),
+        }
+    }
+
+    fn fold_on<T: Number, R: Send>(
+        &self,
+        environments: &Environments<'_>,
+        start: impl Fn(&[usize]) -> R + Sync,
+        each: impl Fn(&mut R, &Moment<'_>) + Sync,
+    ) -> Result<Vec<(Vec<usize>, R)>, BatchError> {
+        let groups = self.groups(environments)?;
+        let results = groups.into_par_iter().map(|members| {
+            let mut result = start(&members);
+            Group::<T>::new(self, environments, &members).run(|_| {}, |moment| each(&mut result, moment));
+            (members, result)
+        });
+        Ok(results.collect())
+    }
+
+    fn rollout_on<T: Number>(
+        &self,
+        environments: &Environments<'_>,
+        keep: &[&str],
+    ) -> Result<Rollout, BatchError> {
+        let groups = self.groups(environments)?;
+        let count = environments.len();
+        let mut outputs = Vec::with_capacity(keep.len());
+        for name in keep {
+            let node = self.node(name)?;
+            let (steps, leaves) = (self.steps_of(node), self.nodes[node].initial.len());
+            let values = vec![f64::NAN; count * steps * leaves];
+            outputs.push(Kept { node: (*name).to_owned(), index: node, steps, leaves, values });
+        }
+        let mut states: Vec<Vec<f64>> =
+            self.nodes.iter().map(|node| vec![0.0; count * node.state.len()]).collect();
+        {
+            let mut kept: Vec<(usize, usize, Vec<Option<&mut [f64]>>)> = outputs
+                .iter_mut()
+                .map(|kept| {
+                    (kept.index, kept.leaves, rows_of(&mut kept.values, kept.steps * kept.leaves, count))
+                })
+                .collect();
+            let mut state: Vec<Vec<Option<&mut [f64]>>> = states
+                .iter_mut()
+                .zip(&self.nodes)
+                .map(|(values, node)| rows_of(values, node.state.len(), count))
+                .collect();
+            // Every group gets the rows of its own environments.
+            let work: Vec<_> = groups
+                .iter()
+                .map(|members| {
+                    let kept: Vec<_> = kept
+                        .iter_mut()
+                        .map(|(node, leaves, rows)| (*node, *leaves, take_rows(rows, members)))
+                        .collect();
+                    let state: Vec<_> = state.iter_mut().map(|rows| take_rows(rows, members)).collect();
+                    (members, kept, state)
+                })
+                .collect();
+            work.into_par_iter().for_each(|(members, mut kept, mut state)| {
+                let mut group = Group::<T>::new(self, environments, members);
+                group.run(
+                    |made| {
+                        for (node, leaves, rows) in &mut kept {
+                            if made.node == *node {
+                                let first = made.seq as usize * *leaves;
+                                made.each(|position, leaf, value| rows[position][first + leaf] = value);
+                            }
+                        }
+                    },
+                    |_| {},
+                );
+                for (node, rows) in state.iter_mut().enumerate() {
+                    for (position, row) in rows.iter_mut().enumerate() {
+                        row.iter_mut().zip(group.state(node, position)).for_each(|(to, value)| *to = value);
+                    }
+                }
+            });
+        }
+        Ok(Rollout { outputs, states })
+    }
+
+    /// Environments of one episode, at most [`GROUP`] together.
+    fn groups(&self, environments: &Environments<'_>) -> Result<Vec<Vec<usize>>, BatchError> {
+        for (index, node) in self.compiled.nodes.iter().enumerate() {
+            let runs = self.compiled.slots.iter().any(|slot| slot.node == index);
+            if node.pinned && runs && environments.given[index].is_none() {
+                return Err(BatchError::NotGiven { node: node.name.clone() });
+            }
+        }
+        let mut of_episode = vec![Vec::new(); self.compiled.episodes];
+        for (environment, &episode) in environments.episodes.iter().enumerate() {
+            of_episode[episode as usize].push(environment);
+        }
+        Ok(of_episode.iter().flat_map(|members| members.chunks(GROUP)).map(<[usize]>::to_vec).collect())
+    }
+}
+
+/// One row for each environment.
+fn rows_of(values: &mut [f64], width: usize, count: usize) -> Vec<Option<&mut [f64]>> {
+    if width == 0 {
+        return (0..count).map(|_| Some(&mut [][..])).collect();
+    }
+    values.chunks_exact_mut(width).map(Some).collect()
+}
+
+fn take_rows<'r>(rows: &mut [Option<&'r mut [f64]>], members: &[usize]) -> Vec<&'r mut [f64]> {
+    members.iter().filter_map(|&member| rows[member].take()).collect()
+}
+
+/// What a group looks like after a pass.
+pub struct Moment<'m> {
+    /// The pass, those before the supervisor's first step included.
+    pub pass: usize,
+    /// The supervisor's step; none in the passes before its first.
+    pub step: Option<usize>,
+    /// The group's environments.
+    pub members: &'m [usize],
+    output: &'m dyn Fn(usize, usize, usize) -> f64,
+}
+
+impl Moment<'_> {
+    /// A leaf of the newest output of a node, by its place in the graph, of the environment at `position` among the
+    /// members.
+    ///
+    /// # Panics
+    ///
+    /// When there is no such node, member or leaf.
+    pub fn output(&self, node: usize, position: usize, leaf: usize) -> f64 {
+        assert!(position < self.members.len(), "a group of {} environments", self.members.len());
+        (self.output)(node, position, leaf)
+    }
+}
+
+impl fmt::Debug for Moment<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Moment")
+            .field("pass", &self.pass)
+            .field("members", &self.members)
+            .finish_non_exhaustive()
+    }
+}
+
+/// What a node sent.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Kept {
+    /// The node.
+    pub node: String,
+    index: usize,
+    /// How many steps there are room for.
+    pub steps: usize,
+    /// How many leaves a message has.
+    pub leaves: usize,
+    /// `[environment][step][leaf]`; not a number where a step did not run.
+    pub values: Vec<f64>,
+}
+
+impl Kept {
+    /// The message of an environment's step.
+    ///
+    /// # Panics
+    ///
+    /// When there is none.
+    pub fn message(&self, environment: usize, step: usize) -> &[f64] {
+        assert!(step < self.steps, "node `{}` makes at most {} steps", self.node, self.steps);
+        &self.values[(environment * self.steps + step) * self.leaves..][..self.leaves]
+    }
+}
+
+/// The result of [`Batch::rollout`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rollout {
+    /// The outputs of the nodes kept, in their order.
+    pub outputs: Vec<Kept>,
+    /// Per node, in the order of the graph, the state after the last step: `[environment][leaf]`.
+    pub states: Vec<Vec<f64>>,
+}
