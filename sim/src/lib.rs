@@ -61,9 +61,11 @@ mod generate;
 mod replay;
 pub mod supergraph;
 mod trajectory;
+mod trajectory;
 
 pub use episode::Episode;
 pub use executor::{ConnectionAccount, Executor, Outcome, SimError};
 pub use generate::{generate, generate_many};
 pub use replay::{Difference, NodeReplay, Override, ReplayError, ReplayOptions, ReplayReport, replay};
+pub use trajectory::{NodeTrajectory, trajectories};
 pub use trajectory::{NodeTrajectory, trajectories};

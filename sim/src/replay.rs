@@ -236,7 +236,7 @@ pub fn replay(
 }
 
 /// The tracks in the order of the graph.
-fn tracks<'a>(recording: &'a Recording, graph: &Graph) -> Result<Vec<&'a NodeTrack>, ReplayError> {
+pub(crate) fn tracks<'a>(recording: &'a Recording, graph: &Graph) -> Result<Vec<&'a NodeTrack>, ReplayError> {
     let mut tracks = Vec::with_capacity(graph.nodes().len());
     for plan in graph.nodes() {
         let track =
@@ -260,7 +260,7 @@ fn tracks<'a>(recording: &'a Recording, graph: &Graph) -> Result<Vec<&'a NodeTra
 }
 
 /// How many steps of a node can be replayed: all, unless the recording was cut. Checks that they fit together.
-fn usable_steps(
+pub(crate) fn usable_steps(
     recording: &Recording,
     graph: &Graph,
     tracks: &[&NodeTrack],
@@ -350,25 +350,10 @@ fn rerun(
     };
     let mut node = built.map_err(|source| ReplayError::Build { node: plan.name.clone(), source })?;
 
-    let connections = || plan.inputs.iter().map(|&connection| &graph.connections()[connection]);
-    let mut windows: Vec<InputWindow> =
-        connections().map(|plan| InputWindow::new(plan.port.clone(), plan.leaves, plan.window)).collect();
+    let mut windows = empty_windows(graph, index);
     let mut output = track.initial.clone();
     for step in steps {
-        for ((window, input), connection) in windows.iter_mut().zip(&step.inputs).zip(connections()) {
-            let sender = tracks[connection.from];
-            window.clear(input.superseded);
-            for &consumed in &input.consumed {
-                let payload = match consumed.seq.map(|seq| sender.message(seq)) {
-                    None => &sender.initial,
-                    Some(Some(message)) => &message.payload,
-                    // `check_step` has found every message.
-                    Some(None) => continue,
-                };
-                window.push(consumed, payload);
-                result.consumed += u64::from(consumed.seq.is_some());
-            }
-        }
+        result.consumed += fill_windows(graph, tracks, index, step, &mut windows);
         let view = Step::new(step.seq, step.due, step.start, &windows);
         node.step_into(&view, &mut output).map_err(|source| ReplayError::Failed {
             node: plan.name.clone(),
@@ -390,4 +375,38 @@ fn rerun(
         }
     }
     Ok(result)
+}
+
+/// Windows for the inputs of a node, still empty.
+pub(crate) fn empty_windows(graph: &Graph, index: usize) -> Vec<InputWindow> {
+    let connections = graph.nodes()[index].inputs.iter().map(|&connection| &graph.connections()[connection]);
+    connections.map(|plan| InputWindow::new(plan.port.clone(), plan.leaves, plan.window)).collect()
+}
+
+/// Fills a node's windows with what a recorded step consumed; gives how many of the messages were sent ones.
+pub(crate) fn fill_windows(
+    graph: &Graph,
+    tracks: &[&NodeTrack],
+    index: usize,
+    step: &StepRecord,
+    windows: &mut [InputWindow],
+) -> u64 {
+    let mut count = 0;
+    for ((window, input), &connection) in
+        windows.iter_mut().zip(&step.inputs).zip(&graph.nodes()[index].inputs)
+    {
+        let sender = tracks[graph.connections()[connection].from];
+        window.clear(input.superseded);
+        for &consumed in &input.consumed {
+            let payload = match consumed.seq.map(|seq| sender.message(seq)) {
+                None => &sender.initial,
+                Some(Some(message)) => &message.payload,
+                // `check_step` has found every message.
+                Some(None) => continue,
+            };
+            window.push(consumed, payload);
+            count += u64::from(consumed.seq.is_some());
+        }
+    }
+    count
 }
