@@ -6,7 +6,7 @@ use parallax_runtime::recording::Recording;
 use parallax_runtime::time::{from_seconds, to_seconds};
 use parallax_sim::{Episode, generate_many};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyList};
+use pyo3::types::PyDict;
 
 use crate::arrays::{array, list};
 use crate::error::raise;

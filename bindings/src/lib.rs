@@ -5,6 +5,7 @@
 //! Python exception that carries the same message.
 
 mod arrays;
+mod compiled;
 mod episodes;
 mod error;
 mod graph;

@@ -137,6 +137,8 @@ class CompiledGraph:
         """How many steps the supervisor makes in the longest of them."""
         self.lengths = np.asarray(compiled["lengths"])
         """How many steps the supervisor makes in each, `[episode]`."""
+        self.efficiency: float = compiled["efficiency"]
+        """The share of slots that a step fills, on average."""
         self.source = compiled
         """The compiler's own tables, as numpy arrays."""
         self._nodes = [
@@ -444,7 +446,7 @@ class CompiledGraph:
         run = slot["run"].astype(bool)
         always = np.ones_like(run)
         inputs = []
-        for name, rows in zip(ports, slot["inputs"], strict=True):
+        for name, rows in zip(ports, slot["inputs"], strict=bool(slot["inputs"])):
             candidates = range(rows["candidates"])
             trainable = rows["trainable"]
             inputs.append(
@@ -459,12 +461,12 @@ class CompiledGraph:
                         "received": [add.seconds(rows["received"][..., i], run) for i in candidates],
                     },
                     [add.integers(rows["read"][..., i], run) for i in candidates],
-                    None if trainable is None else TrainableDelay(**trainable),
+                    None if trainable is None else TrainableDelay(*trainable),
                 )
             )
         return _Slot(
             slot["node"],
-            add.integers(run, always),
+            add.integers(np.ones_like(run) if slot["always"] else run, always),
             {"seq": add.numbers(slot["seq"], run), "due": add.seconds(slot["due"], run), "start": add.seconds(slot["start"], run)},
             add.integers(slot["write"], run),
             inputs,

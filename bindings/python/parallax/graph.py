@@ -7,13 +7,13 @@ import os
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from . import _native
 from .compiled import CompiledGraph
-from .nodes import ModelNode, Node, Port
+from .nodes import ModelNode, Node, PinnedNode, Port
 from .program import Program
 
 __all__ = ["Episodes", "Graph"]
@@ -67,12 +67,12 @@ class Graph:
         """The inputs of a node, in the order of its kind."""
         return [
             Port(port["name"], port["connection"], port["from"], port["window"], tuple(port["leaves"]))
-            for port in self._content[self.nodes.index(node)]["ports"]
+            for port in self._content[self._place(node)]["ports"]
         ]
 
     def model(self, node: str) -> ModelNode | None:
         """The Rust model of a node, bound to its ports; none for a node that is plain Rust or written in Python."""
-        content = self._content[self.nodes.index(node)]
+        content = self._content[self._place(node)]
         model = content["model"]
         if model is None:
             return None
@@ -84,6 +84,16 @@ class Graph:
             model["noise"],
             self.ports(node),
         )
+
+    def _place(self, node: str) -> int:
+        if node not in self.nodes:
+            raise ValueError(f"the graph has no node `{node}`; it has {', '.join(self.nodes)}")
+        return self.nodes.index(node)
+
+    def _pinned(self, node: str) -> Node:
+        """A node of which only the messages are known."""
+        content = self._content[self._place(node)]
+        return PinnedNode((content["leaves"], content["initial"]))
 
     def generate(self, duration: float, episodes: int = 1, seed: int = 0) -> Episodes:
         """Draws the schedules of `episodes` runs of `duration` seconds; a seed gives the same ones on every machine."""
@@ -100,14 +110,18 @@ class Graph:
         *,
         trainable: Mapping[str, tuple[float, float] | tuple[float, float, str]] | None = None,
         keep: Sequence[str] = (),
-        partitioning: str = "balanced",
+        pinned: Sequence[str] = (),
+        partitioning: Literal["balanced", "ancestors"] = "balanced",
+        method: Literal["mcs", "topological", "generational"] = "mcs",
     ) -> CompiledGraph:
         """The graph along these schedules, as pure functions.
 
         `nodes` are written in JAX and take the place of the nodes of their names; all others run by their Rust models.
         `trainable` makes connections' delays parameters between two bounds (s), by `"hold"` (the default) or
         `"linear"` interpolation. Steps that no later step of the supervisor depends on are left out, unless their node is
-        named in `keep`. `partitioning` is `"balanced"`, or `"ancestors"` as in the paper.
+        named in `keep`. The outputs of nodes in `pinned` will be given to the rollout: their steps need no inputs, and
+        what only feeds them is left out. `partitioning` is `"balanced"`, or `"ancestors"` as in the paper; `method` says
+        how the slots are found: the minimum common supergraph, or one of the paper's baselines.
         """
         given = dict(nodes or {})
         unknown = given.keys() - set(self.nodes)
@@ -116,6 +130,8 @@ class Graph:
         bound: list[tuple[str, Node]] = []
         for name in self.nodes:
             node: Node | None = given[name] if name in given else self.model(name)
+            if node is None and name in pinned:
+                node = self._pinned(name)
             if node is None:
                 raise ValueError(
                     f"node `{name}` is no model: give one written in JAX for it, as in nodes={{'{name}': ...}}"
@@ -127,8 +143,19 @@ class Graph:
                 raise ValueError(f"no connection `{connection}`; there are {', '.join(self.connections)}")
             linear = len(bounds) == 3 and bounds[2] == "linear"
             delays.append((self.connections.index(connection), bounds[0], bounds[1], linear))
-        stateful = [name in given or bool(self._content[place]["model"]["state"]) for place, (name, _) in enumerate(bound)]
-        compiled = self._native.compile(episodes, delays, list(keep), partitioning, stateful)
+        stateful = [
+            name in given or bool(content["model"] and content["model"]["state"])
+            for content, (name, _) in zip(self._content, bound, strict=True)
+        ]
+        compiled = self._native.compile(
+            episodes,
+            trainable=delays,
+            keep=[self._place(name) for name in keep],
+            pinned=[self._place(name) for name in pinned],
+            cut=partitioning,
+            method=method,
+            stateful=stateful,
+        )
         ports = [[port.name for port in self.ports(name)] for name in self.nodes]
         return CompiledGraph(compiled, bound, ports, self.connections)
 

@@ -12,13 +12,12 @@ from typing import Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from .program import Program
 from .trees import flat, nested
 from .types import Array, Floats, Scalar, Tree
 
-__all__ = ["Message", "ModelNode", "Node", "Port", "Step", "Window"]
+__all__ = ["Message", "ModelNode", "Node", "PinnedNode", "Port", "Step", "Window"]
 
 
 @dataclass(frozen=True)
@@ -231,6 +230,24 @@ class ModelNode:
         return {self._sources[place] for place in self.program.needed if self._sources[place][0] in ("time", "stamp")}
 
 
-def numpy_leaf(value: Any) -> np.ndarray[Any, Any]:
-    """A leaf as numpy, for arrays on any device."""
-    return np.asarray(value)
+class PinnedNode:
+    """A node whose outputs are given; only its messages are known."""
+
+    def __init__(self, output: tuple[list[str], Floats]) -> None:
+        self._output = output
+
+    def init_params(self, key: Array) -> Tree:
+        """None."""
+        return {}
+
+    def init_state(self, key: Array, params: Tree) -> Tree:
+        """None."""
+        return {}
+
+    def init_output(self, key: Array, params: Tree, state: Tree) -> Tree:
+        """The kind's initial message."""
+        return nested(self._output[0], [jnp.asarray(value, float) for value in self._output[1]])
+
+    def step(self, params: Tree, state: Tree, step: Step) -> tuple[Tree, Tree]:
+        """Refused: the outputs must be given."""
+        raise TypeError("a pinned node has no step; give its outputs to the rollout, as in pinned={'agent': ...}")

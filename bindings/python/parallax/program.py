@@ -102,7 +102,9 @@ class Program:
         values = [value if isinstance(value, float | int) else jnp.asarray(value) for value in inputs]
         shape = jnp.broadcast_shapes(*(np.shape(value) for value in values))
         arrays = [value for value in values if not isinstance(value, float | int)]
-        dtype = jnp.result_type(*arrays, jnp.float32 if arrays else float) if arrays else None
+        dtype = jnp.result_type(*arrays) if arrays else None
+        if dtype is not None and not jnp.issubdtype(dtype, jnp.floating):
+            dtype = jnp.result_type(float)
         values = [float(v) if isinstance(v, float | int) else lax.convert_element_type(v, dtype) for v in values]
         run = partial(self._run, wanted=wanted)
         axes = tuple(0 if np.ndim(value) else None for value in values)

@@ -48,6 +48,7 @@ def _arc_slope(x: jax.Array) -> jax.Array:
 
 # Derivatives that differ from JAX's at single points.
 _sqrt = _with_slope(lax.sqrt, lambda y, x: 0.5 / y)
+_abs = _with_slope(lax.abs, lambda y, x: lax.sign(x))
 _asin = _with_slope(lax.asin, lambda y, x: _arc_slope(x))
 _acos = _with_slope(lax.acos, lambda y, x: -_arc_slope(x))
 _atan2 = _with_slope(lax.atan2, lambda r, y, x: x / (x * x + y * y), lambda r, y, x: -y / (x * x + y * y))
@@ -78,7 +79,7 @@ _UNARY: dict[str, Callable[[jax.Array], jax.Array]] = {
     "ln": lax.log,
     "sqrt": _sqrt,
     "tanh": lax.tanh,
-    "abs": lax.abs,
+    "abs": _abs,
     "sign": lax.sign,
     "floor": lax.floor,
 }

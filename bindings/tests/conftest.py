@@ -1,0 +1,43 @@
+"""What the tests share."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+
+import jax
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def x64():
+    """Double precision for one test."""
+    with jax.enable_x64(True):
+        yield
+
+
+def _program() -> Path:
+    """The command line, built by `cargo build`."""
+    target = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+    places = [Path(os.environ["PARALLAX_BIN"])] if "PARALLAX_BIN" in os.environ else []
+    places += [target / profile / "parallax" for profile in ("debug", "release")]
+    for place in places:
+        if place.exists():
+            return place
+    raise FileNotFoundError(f"no `parallax` at {', '.join(map(str, places))}; run `cargo build` first")
+
+
+@pytest.fixture(scope="session")
+def parallax_cli():
+    """Runs the command line with these arguments; returns what it prints."""
+    program = _program()
+
+    def run(*arguments: str | os.PathLike[str]) -> str:
+        done = subprocess.run([program, *arguments], capture_output=True, text=True, timeout=120)
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    return run
