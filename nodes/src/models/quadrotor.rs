@@ -130,29 +130,34 @@ pub struct Output<T> {
 }
 
 /// Total thrust of the four rotors along the body's z axis, N: `c_m Ω + d_m Θ`.
+#[inline(always)]
 pub fn thrust<T: Scalar>(p: &Params<T>, x: &State<T>, u: &Input<T>) -> T {
     p.thrust_state * x.thrust + p.thrust_direct * u.pwm
 }
 
 /// The motor signal that carries the weight of a level quadrotor at rest, counts: with `Ω = −b_m Θ/a_m` the thrust is
 /// `m g`.
+#[inline(always)]
 pub fn hover_pwm<T: Scalar>(p: &Params<T>) -> T {
     p.mass * GRAVITY / (p.thrust_direct - p.thrust_state * p.motor_gain / p.motor_rate)
 }
 
 /// The motor signal at which four rotors give this thrust at rest, counts: the upper root of
 /// `f = 4 (a_p Θ² + b_p Θ + c_p)`.
+#[inline(always)]
 pub fn effective_pwm<T: Scalar>(p: &Params<T>, thrust: T) -> T {
     let discriminant = p.pwm_linear * p.pwm_linear - p.pwm_quadratic * (p.pwm_constant - thrust * 0.25) * 4.0;
     (discriminant.max(T::constant(0.0)).sqrt() - p.pwm_linear) / (p.pwm_quadratic * 2.0)
 }
 
 /// The sum of the four rotors' speeds, rad/s: `4 (a_r Θ_eff + b_r)`.
+#[inline(always)]
 pub fn rotor_speed<T: Scalar>(p: &Params<T>, thrust: T) -> T {
     (p.rotor_linear * effective_pwm(p, thrust) + p.rotor_constant) * 4.0
 }
 
 /// The rows of the rotation from the body's to the world's frame.
+#[inline(always)]
 pub fn rotation<T: Scalar>(a: &Attitude<T>) -> [[T; 3]; 3] {
     let (sr, cr) = (a.roll.sin(), a.roll.cos());
     let (sp, cp) = (a.pitch.sin(), a.pitch.cos());
@@ -165,6 +170,7 @@ pub fn rotation<T: Scalar>(a: &Attitude<T>) -> [[T; 3]; 3] {
 }
 
 /// The time derivative of the state.
+#[inline(always)]
 pub fn derivative<T: Scalar>(p: &Params<T>, x: &State<T>, u: &Input<T>) -> State<T> {
     let thrust = thrust(p, x, u);
     let speed = rotor_speed(p, thrust);
@@ -198,6 +204,7 @@ impl Model for Quadrotor {
     type Input<T: Scalar> = Input<T>;
     type Output<T: Scalar> = Output<T>;
 
+    #[inline(always)]
     fn step<T: Scalar>(p: &Params<T>, x: State<T>, u: Input<T>, dt: T) -> (State<T>, Output<T>) {
         let x = rk4(|x: &State<T>| derivative(p, x, &u), x, dt);
         (x, Output { position: x.position, attitude: x.attitude })

@@ -80,6 +80,7 @@ pub fn kind() -> NodeKind {
 }
 
 /// The sum of sines at a time, V.
+#[inline(always)]
 fn excitation<T: Scalar>(p: &Parameters<T>, time: T) -> T {
     let sum = FREQUENCIES
         .iter()
@@ -91,6 +92,7 @@ fn excitation<T: Scalar>(p: &Parameters<T>, time: T) -> T {
 }
 
 /// The energy to go to at a time, as a fraction of that upright.
+#[inline(always)]
 fn level<T: Scalar>(p: &Parameters<T>, time: T) -> T {
     let place = (time.max(T::constant(0.0)) / HOLD).floor();
     let turns = (place / LEVELS.len() as f64).floor();
@@ -107,6 +109,7 @@ impl NodeModel for Agent {
     type State<T: Scalar> = ();
     type Output<T: Scalar> = Voltage<T>;
 
+    #[inline(always)]
     fn step<T: Scalar>(p: &Parameters<T>, (): (), step: &NodeStep<'_, T>) -> ((), Voltage<T>) {
         let Estimate { angle, speed, .. } = step.latest::<Estimate<T>>(ESTIMATOR.name()).message;
         let shake = excitation(p, step.start);

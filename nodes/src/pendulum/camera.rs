@@ -51,6 +51,7 @@ impl NodeModel for Camera {
     type State<T: Scalar> = ();
     type Output<T: Scalar> = Angle<T>;
 
+    #[inline(always)]
     fn step<T: Scalar>(p: &Parameters<T>, (): (), step: &NodeStep<'_, T>) -> ((), Angle<T>) {
         let seen = step.latest::<WorldState<T>>(WORLD.name()).message;
         ((), Angle { angle: wrapped(seen.angle + p.noise * step.noise[0]), stamp: seen.stamp })

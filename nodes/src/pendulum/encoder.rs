@@ -55,6 +55,7 @@ impl NodeModel for Encoder {
     type State<T: Scalar> = ();
     type Output<T: Scalar> = Estimate<T>;
 
+    #[inline(always)]
     fn step<T: Scalar>(p: &Parameters<T>, (): (), step: &NodeStep<'_, T>) -> ((), Estimate<T>) {
         let seen = step.latest::<WorldState<T>>(WORLD.name()).message;
         let angle = wrapped(seen.angle + p.angle_noise * step.noise[0]);

@@ -112,6 +112,7 @@ pub fn simulated() -> GraphSpec {
 }
 
 /// The same angle, rad, within [−π, π).
+#[inline(always)]
 pub(crate) fn wrapped<T: Scalar>(angle: T) -> T {
     let turns = ((angle + PI) / TAU).floor();
     angle - turns * TAU

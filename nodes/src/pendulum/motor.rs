@@ -48,6 +48,7 @@ impl NodeModel for Motor {
     type State<T: Scalar> = ();
     type Output<T: Scalar> = Voltage<T>;
 
+    #[inline(always)]
     fn step<T: Scalar>(p: &Parameters<T>, (): (), step: &NodeStep<'_, T>) -> ((), Voltage<T>) {
         let wanted = step.latest::<Voltage<T>>(AGENT.name()).message.voltage;
         // Something that is no number must not reach the motor; only such a thing differs from itself.

@@ -60,6 +60,7 @@ impl NodeModel for Agent {
     type State<T: Scalar> = ();
     type Output<T: Scalar> = Reference<T>;
 
+    #[inline(always)]
     fn step<T: Scalar>(p: &Parameters<T>, (): (), step: &NodeStep<'_, T>) -> ((), Reference<T>) {
         let seen = step.latest::<Motion<T>>(MOCAP.name());
         let motion = seen.message;

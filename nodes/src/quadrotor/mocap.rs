@@ -55,6 +55,7 @@ impl NodeModel for Mocap {
     type State<T: Scalar> = ();
     type Output<T: Scalar> = Motion<T>;
 
+    #[inline(always)]
     fn step<T: Scalar>(p: &Parameters<T>, (): (), step: &NodeStep<'_, T>) -> ((), Motion<T>) {
         let Motion { position, velocity, attitude, stamp } = step.latest::<Motion<T>>(WORLD.name()).message;
         let noisy = |x: Vector<T>, std: T, first: usize| Vector {

@@ -79,6 +79,7 @@ impl NodeModel for HeightPid {
     type State<T: Scalar> = State<T>;
     type Output<T: Scalar> = Command<T>;
 
+    #[inline(always)]
     fn step<T: Scalar>(p: &Parameters<T>, state: State<T>, step: &NodeStep<'_, T>) -> (State<T>, Command<T>) {
         let seen = step.latest::<Motion<T>>(MOCAP.name());
         let wanted = step.latest::<Reference<T>>(AGENT.name()).message;
