@@ -5,8 +5,8 @@
 use std::collections::BTreeMap;
 
 use parallax_sim::supergraph::{
-    Cut, Dag, DagInput, DagNode, Method, Partition, Partitioning, StartUp, SupergraphError, partition,
-    supergraph,
+    Cut, Dag, DagInput, DagNode, Embedding, Method, Partition, Partitioning, PlanOptions, StartUp,
+    Supergraph, SupergraphError, partition, plan, supergraph,
 };
 use proptest::prelude::*;
 
@@ -159,7 +159,13 @@ fn check_cut(run: &Run, cut: Cut, start: StartUp, found: &Partitioning) {
     }
     // Exactly what the supervisor or a kept step depends on runs, all of it after what it depends on.
     let mut needed: Vec<(u32, u32)> = (0..supervisor as u32).map(|step| (0, step)).collect();
-    needed.extend(place.keys().filter(|step| run.nodes[step.0 as usize].keep));
+    let end = run.nodes[0].start.last().copied().unwrap_or(i64::MIN);
+    for (node, steps) in run.nodes.iter().enumerate().filter(|(_, steps)| steps.keep) {
+        // A kept step that starts before the supervisor's last one, and does not depend on that, runs.
+        for step in (0..steps.start.len()).filter(|&step| steps.start[step] < end) {
+            needed.push((node as u32, step as u32));
+        }
+    }
     let mut expected = std::collections::BTreeSet::new();
     while let Some(step) = needed.pop() {
         if expected.insert(step) {
@@ -182,44 +188,48 @@ fn check_cut(run: &Run, cut: Cut, start: StartUp, found: &Partitioning) {
     }
 }
 
+fn check_found(partitions: &[Partition], supervisor: u32, found: &Supergraph, embeddings: &[Embedding]) {
+    assert_eq!(embeddings.len(), partitions.len());
+    for (partition, embedding) in partitions.iter().zip(embeddings) {
+        // Written out here, not by the function under test.
+        let taken: std::collections::BTreeSet<u32> = embedding.slots.iter().copied().collect();
+        assert_eq!(taken.len(), partition.labels.len(), "a slot is given twice");
+        for (&label, &slot) in partition.labels.iter().zip(&embedding.slots) {
+            assert_eq!(found.labels[slot as usize], label);
+        }
+        for &(from, to) in &partition.edges {
+            let edge = (embedding.slots[from as usize], embedding.slots[to as usize]);
+            assert!(edge.0 < edge.1);
+            assert!(found.edges.binary_search(&edge).is_ok());
+        }
+        if partition.labels.last() == Some(&supervisor) {
+            assert_eq!(*embedding.slots.last().unwrap() as usize, found.labels.len() - 1);
+        }
+        assert!(found.embeds(partition, embedding));
+    }
+    let last = found.labels.len() as u32 - 1;
+    assert_eq!(found.labels.iter().rposition(|&label| label == supervisor), Some(last as usize));
+    assert_eq!(found.labels.iter().filter(|&&label| label == supervisor).count(), 1);
+    assert_eq!(found.generations.last(), Some(&vec![last]));
+    assert_eq!(found.generations.concat(), (0..=last).collect::<Vec<_>>());
+    let mut generation = vec![0; found.labels.len()];
+    for (index, slots) in found.generations.iter().enumerate() {
+        slots.iter().for_each(|&slot| generation[slot as usize] = index);
+        let labels: std::collections::BTreeSet<u32> =
+            slots.iter().map(|&slot| found.labels[slot as usize]).collect();
+        assert_eq!(labels.len(), slots.len(), "two slots of one node in a generation");
+    }
+    for &(from, to) in &found.edges {
+        assert!(generation[from as usize] < generation[to as usize]);
+    }
+    assert!(found.labels.len() >= found.bound);
+}
+
 fn check_supergraph(partitions: &[Partition], supervisor: u32) {
     let mut slots = Vec::new();
     for method in METHODS {
         let (found, embeddings) = supergraph(partitions, supervisor, method).unwrap();
-        assert_eq!(embeddings.len(), partitions.len());
-        for (partition, embedding) in partitions.iter().zip(&embeddings) {
-            // Written out here, not by the function under test.
-            let taken: std::collections::BTreeSet<u32> = embedding.slots.iter().copied().collect();
-            assert_eq!(taken.len(), partition.labels.len(), "a slot is given twice");
-            for (&label, &slot) in partition.labels.iter().zip(&embedding.slots) {
-                assert_eq!(found.labels[slot as usize], label);
-            }
-            for &(from, to) in &partition.edges {
-                let edge = (embedding.slots[from as usize], embedding.slots[to as usize]);
-                assert!(edge.0 < edge.1);
-                assert!(found.edges.binary_search(&edge).is_ok());
-            }
-            if partition.labels.last() == Some(&supervisor) {
-                assert_eq!(*embedding.slots.last().unwrap() as usize, found.labels.len() - 1);
-            }
-            assert!(found.embeds(partition, embedding));
-        }
-        let last = found.labels.len() as u32 - 1;
-        assert_eq!(found.labels.iter().rposition(|&label| label == supervisor), Some(last as usize));
-        assert_eq!(found.labels.iter().filter(|&&label| label == supervisor).count(), 1);
-        assert_eq!(found.generations.last(), Some(&vec![last]));
-        assert_eq!(found.generations.concat(), (0..=last).collect::<Vec<_>>());
-        let mut generation = vec![0; found.labels.len()];
-        for (index, slots) in found.generations.iter().enumerate() {
-            slots.iter().for_each(|&slot| generation[slot as usize] = index);
-            let labels: std::collections::BTreeSet<u32> =
-                slots.iter().map(|&slot| found.labels[slot as usize]).collect();
-            assert_eq!(labels.len(), slots.len(), "two slots of one node in a generation");
-        }
-        for &(from, to) in &found.edges {
-            assert!(generation[from as usize] < generation[to as usize]);
-        }
-        assert!(found.labels.len() >= found.bound);
+        check_found(partitions, supervisor, &found, &embeddings);
         slots.push(found.labels.len());
         assert_eq!(supergraph(partitions, supervisor, method).unwrap(), (found, embeddings));
     }
@@ -253,6 +263,33 @@ proptest! {
                 let found = partition(&run.dag(), 0, cut, start).unwrap();
                 check_cut(&run, cut, start, &found);
                 check_supergraph(&found.partitions, 0);
+            }
+        }
+    }
+
+    #[test]
+    fn plans_hold_every_episode_in_no_more_slots(mut runs in prop::collection::vec(run(), 1..4)) {
+        // Episodes of one graph differ in their times and in what was consumed, not in their nodes.
+        let count = runs.iter().map(|run| run.nodes.len()).min().unwrap();
+        for run in &mut runs {
+            run.nodes.truncate(count);
+            run.nodes.iter_mut().for_each(|node| node.inputs.retain(|input| (input.0 as usize) < count));
+        }
+        let dags: Vec<Dag<'_>> = runs.iter().map(Run::dag).collect();
+        for cut in CUTS {
+            for start in STARTS {
+                let options = PlanOptions { cut, start, method: METHODS[0] };
+                let found = plan(&dags, 0, &options).unwrap();
+                let mut apart = Vec::new();
+                for ((run, episode), embeddings) in runs.iter().zip(&found.episodes).zip(&found.embeddings) {
+                    prop_assert_eq!(episode.warm_up, found.episodes[0].warm_up);
+                    check_cut(run, cut, start, episode);
+                    check_found(&episode.partitions, 0, &found.supergraph, embeddings);
+                    apart.extend(partition(&run.dag(), 0, cut, start).unwrap().partitions);
+                }
+                let (apart, _) = supergraph(&apart, 0, METHODS[0]).unwrap();
+                prop_assert!(found.supergraph.labels.len() <= apart.labels.len());
+                prop_assert_eq!(&plan(&dags, 0, &options).unwrap(), &found);
             }
         }
     }
@@ -384,6 +421,9 @@ fn what_cannot_be_cut_or_embedded_is_an_error_with_its_place() {
     let expected = SupergraphError::NoMessage { node: 0, step: 1, from: 1, seq: 7, steps: 2 };
     assert_eq!(cut(7), Err(expected));
     assert_eq!(cut(1), Err(SupergraphError::Cycle { node: 0, step: 1 }));
+    let nodes = Run { nodes: one(0).nodes[..1].to_vec() };
+    let expected = SupergraphError::Nodes { episode: 1, found: 1, expected: 2 };
+    assert_eq!(plan(&[one(0).dag(), nodes.dag()], 0, &PlanOptions::default()), Err(expected));
     let expected = SupergraphError::NoSupervisor { supervisor: 5, nodes: 2 };
     assert_eq!(partition(&one(0).dag(), 5, Cut::default(), StartUp::Passes), Err(expected));
 }

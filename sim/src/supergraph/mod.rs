@@ -6,8 +6,9 @@
 //! a slot. An executor runs through the slots in order and masks those that a partition leaves empty. Few slots mean
 //! little wasted work: the *efficiency* is the share of the slots that is filled.
 //!
-//! The key functions: [`partition()`] cuts the computation graph of an episode at the supervisor's steps, and
-//! [`supergraph()`] finds the slots for given partitions.
+//! The key functions: [`partition()`] cuts the computation graph of an episode at the supervisor's steps,
+//! [`supergraph()`] finds the slots for given partitions, and [`plan()`] does both together, which gives the fewest
+//! slots.
 //!
 //! # What an embedding must keep
 //!
@@ -51,12 +52,15 @@ mod cut;
 mod dag;
 mod grow;
 mod merge;
+mod plan;
 mod poset;
 mod slots;
+mod spread;
 mod sweep;
 
 pub use cut::{Cut, Partitioning, StartUp, partition};
 pub use dag::{Dag, DagInput, DagNode};
+pub use plan::{Plan, PlanOptions, plan};
 pub use slots::{Supergraph, supergraph};
 
 use thiserror::Error;
