@@ -51,6 +51,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+pub mod augment;
 pub mod batch;
 pub mod compiled;
 pub mod delays;
@@ -61,11 +62,9 @@ mod generate;
 mod replay;
 pub mod supergraph;
 mod trajectory;
-mod trajectory;
 
 pub use episode::Episode;
 pub use executor::{ConnectionAccount, Executor, Outcome, SimError};
 pub use generate::{generate, generate_many};
 pub use replay::{Difference, NodeReplay, Override, ReplayError, ReplayOptions, ReplayReport, replay};
-pub use trajectory::{NodeTrajectory, trajectories};
 pub use trajectory::{NodeTrajectory, trajectories};
