@@ -7,9 +7,11 @@ use super::poset::{Distinct, Matcher, Poset};
 
 /// States that a merge keeps.
 const WIDTH: usize = 32;
-/// Vertices looked at, about, before the backtracking ends even if more was asked for: it must end on large graphs, and
-/// a clock would make the result depend on the machine.
-const WORK: usize = 20_000_000;
+/// Vertices and slots looked at before the backtracking ends even if more was asked for, about a second: it must end on
+/// large graphs, and a clock would make the result depend on the machine.
+const WORK: usize = 500_000_000;
+/// Slots that are taken back at a time, at most.
+const STRETCH: usize = 12;
 
 struct Search<'a> {
     posets: &'a [Poset],
@@ -19,12 +21,19 @@ struct Search<'a> {
     matcher: Matcher,
     /// The orders, those that were last found not to fit in front: they are likely not to fit the next attempt.
     suspects: Vec<u32>,
+    /// Vertices and slots looked at so far.
+    work: usize,
 }
 
 impl Search<'_> {
     fn fits_all(&mut self, sequence: &[u32]) -> bool {
-        let (posets, matcher) = (self.posets, &mut self.matcher);
-        match self.suspects.iter().position(|&index| !matcher.fits(&posets[index as usize], sequence)) {
+        let (posets, matcher, work) = (self.posets, &mut self.matcher, &mut self.work);
+        let misfit = self.suspects.iter().position(|&index| {
+            let poset = &posets[index as usize];
+            *work += poset.len() + sequence.len();
+            !matcher.fits(poset, sequence)
+        });
+        match misfit {
             Some(place) => {
                 self.suspects[..=place].rotate_right(1);
                 false
@@ -37,7 +46,10 @@ impl Search<'_> {
     fn grow(&mut self, mut sequence: Vec<u32>, first: usize) -> Vec<u32> {
         for index in (first..self.posets.len()).chain(0..first) {
             let poset = &self.posets[index];
+            self.work += poset.len() + sequence.len();
             if !self.matcher.fits(poset, &sequence) {
+                // What a merge costs, roughly: every state is looked at in every slot.
+                self.work += WIDTH * (poset.len() + sequence.len());
                 sequence = merge(poset, &sequence, self.labels, WIDTH);
             }
         }
@@ -75,18 +87,19 @@ pub(super) fn minimum_common(distinct: &Distinct, labels: usize, backtrack: usiz
     let most = distinct.most(labels);
     let bound = most.iter().sum::<u32>() as usize;
     let matcher = Matcher::new(labels);
-    let mut search = Search { posets, labels, most, matcher, suspects: (0..posets.len() as u32).collect() };
+    let mut search =
+        Search { posets, labels, most, matcher, suspects: (0..posets.len() as u32).collect(), work: 0 };
     let sequence = search.grow(Vec::new(), 0);
     let mut best = search.shrink(sequence);
     let mut current = best.clone();
     let mut seen = HashSet::from([best.clone()]);
-    let work: usize = posets.iter().map(|poset| poset.len() + 1).sum();
-    for attempt in 0..backtrack.min(WORK / work.max(1) + 2) {
-        if best.len() <= bound {
+    search.work = 0;
+    for attempt in 0..backtrack {
+        if best.len() <= bound || search.work > WORK {
             break;
         }
-        // Stretches of one to half of the sequence, everywhere.
-        let length = 1 + attempt % (current.len() / 2).max(1);
+        // Stretches of one slot to half of the sequence, everywhere.
+        let length = 1 + attempt % (current.len() / 2).clamp(1, STRETCH);
         let begin = attempt * 5 % (current.len() - length + 1);
         let mut part = current.clone();
         part.drain(begin..begin + length);
