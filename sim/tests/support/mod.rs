@@ -13,7 +13,7 @@ use parallax_runtime::registry::{NodeKind, Registry};
 use proptest::prelude::*;
 
 /// How long a random graph runs.
-pub const DURATION: i64 = 700_000_000;
+pub(crate) const DURATION: i64 = 700_000_000;
 const MOST_NODES: usize = 5;
 
 fn layout() -> Layout {
@@ -37,7 +37,7 @@ impl ErasedNode for Mixer {
 }
 
 /// A kind for every number of inputs: `mixer_2` has `in_0` and `in_1`.
-pub fn registry() -> Registry {
+pub(crate) fn registry() -> Registry {
     (0..MOST_NODES + 1).fold(Registry::new(), |registry, inputs| {
         let kind = NodeKind::erased(layout(), vec![0.0, 0.25], |_| Ok(Box::new(Mixer)));
         let kind =
@@ -81,7 +81,7 @@ fn connection() -> impl Strategy<Value = Option<ConnectionSpec>> {
 }
 
 /// A valid graph of up to five nodes; any of them supervises.
-pub fn graph() -> impl Strategy<Value = Graph> {
+pub(crate) fn graph() -> impl Strategy<Value = Graph> {
     (1..=MOST_NODES)
         .prop_flat_map(|count| {
             (
