@@ -1,10 +1,11 @@
 //! Compiled graphs: the tables that the JAX functions run.
 
+use parallax_runtime::graph::Graph;
+use parallax_runtime::time::{from_seconds, to_seconds};
 use parallax_sim::compiled::{
     CompileOptions, CompiledGraph, InputRows, Interpolation, Slot, TrainableConnection, compile,
 };
 use parallax_sim::supergraph::{Cut, Method, StartUp};
-use parallax_runtime::time::{from_seconds, to_seconds};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 
@@ -22,9 +23,9 @@ impl NativeGraph {
     /// `ancestors`; `method` is `mcs`, `topological` or `generational`.
     #[allow(clippy::too_many_arguments, reason = "called from one place in Python, by keyword")]
     #[pyo3(signature = (episodes, *, trainable, keep, pinned, cut, method, stateful))]
-    fn compile<'py>(
+    fn compile(
         &self,
-        py: Python<'py>,
+        py: Python<'_>,
         episodes: &NativeEpisodes,
         trainable: Vec<Trainable>,
         keep: Vec<usize>,
@@ -32,18 +33,24 @@ impl NativeGraph {
         cut: &str,
         method: &str,
         stateful: Vec<bool>,
-    ) -> PyResult<Bound<'py, PyDict>> {
+    ) -> PyResult<NativeCompiled> {
         let options = CompileOptions {
             method: match method {
                 "mcs" => Method::default(),
                 "topological" => Method::Topological,
                 "generational" => Method::Generational,
-                other => return Err(raise(format!("`{other}` is no method; use mcs, topological or generational"))),
+                other => {
+                    return Err(raise(format!(
+                        "`{other}` is no method; use mcs, topological or generational"
+                    )));
+                }
             },
             cut: match cut {
                 "balanced" => Cut::default(),
                 "ancestors" => Cut::Ancestors,
-                other => return Err(raise(format!("`{other}` is no partitioning; use balanced or ancestors"))),
+                other => {
+                    return Err(raise(format!("`{other}` is no partitioning; use balanced or ancestors")));
+                }
             },
             start: StartUp::First,
             keep,
@@ -60,7 +67,22 @@ impl NativeGraph {
                 .collect(),
         };
         let compiled = py.detach(|| compile(&self.graph, &episodes.episodes, &options)).map_err(raise)?;
-        tables(py, &compiled)
+        Ok(NativeCompiled { graph: self.graph.clone(), compiled })
+    }
+}
+
+/// A graph and its episodes, compiled.
+#[pyclass(frozen, name = "Compiled", module = "parallax._native")]
+pub(crate) struct NativeCompiled {
+    pub(crate) graph: Graph,
+    pub(crate) compiled: CompiledGraph,
+}
+
+#[pymethods]
+impl NativeCompiled {
+    /// The tables, `[episode, pass]`; times in ns.
+    fn tables<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        tables(py, &self.compiled)
     }
 }
 
@@ -78,7 +100,8 @@ fn tables<'py>(py: Python<'py>, compiled: &CompiledGraph) -> PyResult<Bound<'py,
         nodes.append(entry)?;
     }
     result.set_item("nodes", nodes)?;
-    let slots = compiled.slots.iter().map(|slot| self::slot(py, compiled, slot)).collect::<PyResult<Vec<_>>>()?;
+    let slots =
+        compiled.slots.iter().map(|slot| self::slot(py, compiled, slot)).collect::<PyResult<Vec<_>>>()?;
     result.set_item("slots", PyList::new(py, slots)?)?;
     Ok(result)
 }

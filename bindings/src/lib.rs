@@ -19,6 +19,8 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _native {
     #[pymodule_export]
+    use crate::compiled::NativeCompiled;
+    #[pymodule_export]
     use crate::episodes::NativeEpisodes;
     #[pymodule_export]
     use crate::error::ParallaxError;
@@ -27,7 +29,7 @@ mod _native {
     #[pymodule_export]
     use crate::program::{NativeProgram, models};
     #[pymodule_export]
-    use crate::recording::load;
+    use crate::recording::{load, trajectories};
     #[pymodule_export]
     use crate::system::system;
 

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use parallax_runtime::recording::{InputRecord, NodeTrack, Recording};
+use parallax_sim::NodeTrajectory;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 
@@ -23,6 +24,33 @@ pub(crate) fn load(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyDict>>
     let nodes = recording.nodes.iter().map(|track| node(py, track)).collect::<PyResult<Vec<_>>>()?;
     result.set_item("nodes", PyList::new(py, nodes)?)?;
     Ok(result)
+}
+
+/// What the models of a recorded run went through: per node `params` `[leaf]`, `states` `[step + 1, leaf]`, `noise`
+/// `[step, number]`, `outputs` `[step, leaf]`, and how many outputs are not the recorded ones, bit for bit.
+#[pyfunction]
+pub(crate) fn trajectories(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyDict>> {
+    let found = py
+        .detach(|| trajectories_of(&Recording::read(&path).map_err(|error| error.to_string())?))
+        .map_err(raise)?;
+    let result = PyDict::new(py);
+    for node in found {
+        let entry = PyDict::new(py);
+        let steps = node.steps;
+        let states = node.states.len() / (steps + 1);
+        let [noise, outputs] = [&node.noise, &node.outputs].map(|values| values.len() / steps.max(1));
+        entry.set_item("params", list(py, node.params))?;
+        entry.set_item("states", array(py, node.states, [steps + 1, states])?)?;
+        entry.set_item("noise", array(py, node.noise, [steps, noise])?)?;
+        entry.set_item("outputs", array(py, node.outputs, [steps, outputs])?)?;
+        entry.set_item("differing", node.differing)?;
+        result.set_item(node.name, entry)?;
+    }
+    Ok(result)
+}
+
+fn trajectories_of(recording: &Recording) -> Result<Vec<NodeTrajectory>, String> {
+    parallax_sim::trajectories(recording, &parallax_nodes::registry()).map_err(|error| error.to_string())
 }
 
 fn node<'py>(py: Python<'py>, track: &NodeTrack) -> PyResult<Bound<'py, PyDict>> {

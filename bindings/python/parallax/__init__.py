@@ -15,7 +15,7 @@ from .graph import Episodes, Graph
 from .model import Model, models
 from .nodes import Message, ModelNode, Node, Port, Step, Window
 from .program import Program
-from .recording import NodeTrack, PortTrack, Recording, load
+from .recording import NodeTrack, PortTrack, Recording, Trajectory, load, trajectories
 from .system import System
 from .tables import Tables
 
@@ -39,9 +39,11 @@ __all__ = [
     "System",
     "Tables",
     "TrainableDelay",
+    "Trajectory",
     "Window",
     "__version__",
     "load",
     "models",
+    "trajectories",
     "use_compilation_cache",
 ]

@@ -130,7 +130,9 @@ class CompiledGraph:
         nodes: Sequence[tuple[str, Node]],
         ports: Sequence[Sequence[str]],
         connections: Sequence[str],
+        native: Any = None,
     ) -> None:
+        self._native = native
         self.episodes: int = compiled["episodes"]
         """How many episodes there are."""
         self.steps: int = compiled["steps"]

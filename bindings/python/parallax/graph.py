@@ -15,6 +15,7 @@ from . import _native
 from .compiled import CompiledGraph
 from .nodes import ModelNode, Node, PinnedNode, Port
 from .program import Program
+from .recording import Recording, load
 
 __all__ = ["Episodes", "Graph"]
 
@@ -99,6 +100,14 @@ class Graph:
         """Draws the schedules of `episodes` runs of `duration` seconds; a seed gives the same ones on every machine."""
         return self._native.generate(seed, duration, episodes)
 
+    def simulate(self, path: str | os.PathLike[str], duration: float, seed: int = 0) -> Recording:
+        """Runs the graph under the simulated clock for `duration` seconds, writes the recording to `path` and reads it.
+
+        Every node must be one that comes with Parallax.
+        """
+        self._native.simulate(path, duration, seed)
+        return load(path)
+
     def episodes(self, *recordings: str | os.PathLike[str]) -> Episodes:
         """The schedules of recordings of this graph."""
         return self._native.recorded(recordings)
@@ -157,7 +166,7 @@ class Graph:
             stateful=stateful,
         )
         ports = [[port.name for port in self.ports(name)] for name in self.nodes]
-        return CompiledGraph(compiled, bound, ports, self.connections)
+        return CompiledGraph(compiled.tables(), bound, ports, self.connections, compiled)
 
 
 def _open(source: str | os.PathLike[str] | Mapping[str, Any]) -> _native.Graph:

@@ -13,7 +13,7 @@ import numpy as np
 from . import _native
 from .types import Floats, Integers
 
-__all__ = ["NodeTrack", "PortTrack", "Recording", "load"]
+__all__ = ["NodeTrack", "PortTrack", "Recording", "Trajectory", "load", "trajectories"]
 
 
 @dataclass(frozen=True)
@@ -170,3 +170,24 @@ def load(path: str | os.PathLike[str]) -> Recording:
 
 def _port(port: dict[str, Any]) -> PortTrack:
     return PortTrack(port["port"], port["seq"], port["sent"], port["received"], np.asarray(port["superseded"]))
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What one model went through in a recorded run."""
+
+    params: Floats
+    """Its parameters, `[leaf]`."""
+    states: Floats
+    """Its state before every step and after the last, `[step + 1, leaf]`."""
+    noise: Floats
+    """The standard normal numbers that every step drew, `[step, number]`."""
+    outputs: Floats
+    """What it sent, `[step, leaf]`."""
+    differing: int
+    """How many outputs are not the recorded ones, bit for bit."""
+
+
+def trajectories(path: str | os.PathLike[str]) -> dict[str, Trajectory]:
+    """Runs the models of a recording again, each step on what it consumed, and tells what they went through."""
+    return {name: Trajectory(**content) for name, content in _native.trajectories(path).items()}
