@@ -8,6 +8,7 @@ use parallax_runtime::graph::{Graph, GraphSpec, JitterPolicy, Scheduling};
 use parallax_runtime::recording::Recording;
 use parallax_runtime::time::{Nanos, SECOND, from_seconds, to_seconds};
 use parallax_sim::delays::{self, DelayFit, Measured};
+use parallax_sim::supergraph::SupergraphError;
 use parallax_sim::{Episode, generate};
 use serde_json::{Value, json};
 
@@ -15,6 +16,7 @@ use super::args::{duration, graph_spec, validate};
 use super::delays::describe;
 use super::failure::{Failure, Outcome, Sort};
 use super::output;
+use super::supergraph::{self, Found};
 use crate::plot;
 
 #[derive(Args)]
@@ -56,6 +58,8 @@ struct Shown {
     episode: Episode,
     /// What a recording says about its delays.
     measured: Option<(Vec<DelayFit>, Vec<Measured>)>,
+    /// Its slots by every method, the one that compiled graphs use first; or why there are none.
+    slots: Result<Vec<Found>, SupergraphError>,
     /// Where the schedule comes from.
     source: String,
 }
@@ -87,7 +91,8 @@ impl Shown {
         let measured: (Vec<DelayFit>, Vec<Measured>) =
             measured.into_iter().filter_map(|measured| Some((delays::fit(&measured)?, measured))).unzip();
         let source = format!("{} s recorded in {}", to_seconds(recording.duration), path.display());
-        Ok(Self { graph, episode, measured: Some(measured), source })
+        let slots = supergraph::find(&graph, &episode);
+        Ok(Self { graph, episode, measured: Some(measured), slots, source })
     }
 
     fn of_graph(arguments: &Arguments) -> Result<Self, Failure> {
@@ -95,7 +100,8 @@ impl Shown {
         let episode = generate(&graph, arguments.seed, arguments.duration).input()?;
         let source =
             format!("{} s drawn from the graph, seed {}", to_seconds(arguments.duration), arguments.seed);
-        Ok(Self { graph, episode, measured: None, source })
+        let slots = supergraph::find(&graph, &episode);
+        Ok(Self { graph, episode, measured: None, slots, source })
     }
 }
 
@@ -116,7 +122,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
 }
 
 fn draw(shown: &Shown, arguments: &Arguments, out: &Path) -> Result<(), Failure> {
-    let Shown { graph, episode, measured, source } = shown;
+    let Shown { graph, episode, measured, slots, source } = shown;
     let (from, span) = plot::schedule::default_range(graph, episode);
     let from = arguments.from.unwrap_or(from);
     let span = arguments.span.unwrap_or(span);
@@ -132,6 +138,9 @@ fn draw(shown: &Shown, arguments: &Arguments, out: &Path) -> Result<(), Failure>
         return Err(Failure::input(anyhow!("--for {} s: a plot shows at most 100 s", to_seconds(span))));
     }
     let mut figures = vec![plot::graph::figure(graph), plot::schedule::figure(graph, episode, from, span)];
+    if let Some(found) = slots.as_ref().ok().and_then(|slots| slots.first()) {
+        figures.extend(plot::supergraph::figure(graph, &found.plan.supergraph, &found.about()));
+    }
     if let Some((fits, measured)) = measured.as_ref().filter(|(fits, _)| !fits.is_empty()) {
         figures.push(plot::delays::figure(fits, measured));
     }
@@ -157,7 +166,7 @@ fn connection_policy(blocking: bool, skip: bool, jitter: JitterPolicy) -> String
 }
 
 fn print(shown: &Shown) {
-    let Shown { graph, episode, source, .. } = shown;
+    let Shown { graph, episode, slots, source, .. } = shown;
     let spec: &GraphSpec = graph.spec();
     let (nodes, connections) = (graph.nodes().len(), graph.connections().len());
     output::line(format!(
@@ -198,10 +207,14 @@ fn print(shown: &Shown) {
     if !rows.is_empty() {
         output::table(&["connection", "policy", "window", "delay"], &rows);
     }
+    match slots {
+        Ok(slots) => supergraph::print(slots),
+        Err(error) => output::line(format!("note: no supergraph: {error}")),
+    }
 }
 
 fn summary(shown: &Shown) -> Value {
-    let Shown { graph, episode, measured, source } = shown;
+    let Shown { graph, episode, measured, slots, source } = shown;
     let spec = graph.spec();
     let nodes: Vec<Value> = spec
         .nodes
@@ -230,5 +243,8 @@ fn summary(shown: &Shown) -> Value {
     json!({
         "graph": spec.name, "supervisor": spec.supervisor, "source": source, "nodes": nodes,
         "connections": connections, "measured_delays": measured.as_ref().map(|(fits, _)| fits),
+        "supergraphs": slots.as_ref().ok().map(|slots| {
+            slots.iter().map(|found| found.summary(graph)).collect::<Vec<_>>()
+        }),
     })
 }

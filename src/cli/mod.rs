@@ -12,6 +12,7 @@ mod output;
 mod replay;
 mod run;
 mod sim;
+mod supergraph;
 
 use std::process::ExitCode;
 

@@ -53,11 +53,15 @@ pub(super) fn class(plan: &ConnectionPlan) -> &'static str {
 /// What the lines mean, below a drawing.
 pub(super) fn with_legend(mut drawing: Drawing, width: f64) -> Drawing {
     let y = drawing.height + 14.0;
-    let gap = if width < 500.0 { 124.0 } else { 150.0 };
-    for (index, (class, text)) in
-        [("blocking", "waits for it"), ("latest", "takes the latest"), ("skip", "skip: from before")]
-            .into_iter()
-            .enumerate()
+    let narrow = width < 500.0;
+    let gap = if narrow { 116.0 } else { 150.0 };
+    for (index, (class, text)) in [
+        ("blocking", "waits for it"),
+        ("latest", "takes the latest"),
+        ("skip", if narrow { "skips" } else { "skips what comes just then" }),
+    ]
+    .into_iter()
+    .enumerate()
     {
         let x = gap * index as f64;
         legend_line(&mut drawing.pen, class, (x, y), text);

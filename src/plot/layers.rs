@@ -118,17 +118,19 @@ pub(super) fn draw(vertices: &[Vertex], edges: &[Edge], sizes: Sizes) -> Drawing
     let widest = layout.layers.iter().map(Vec::len).max().unwrap_or(1).max(1) as f64;
     let count = layout.layers.len() as f64;
     let back: Vec<usize> = (0..edges.len()).filter(|&index| layout.routes[index].is_empty()).collect();
-    let around = 14.0 + 11.0 * back.len() as f64;
+    // Many lines around the outside move together.
+    let pitch = 11.0_f64.min(0.25 * sizes.width / back.len().max(1) as f64);
+    let around = 14.0 + pitch * back.len() as f64;
     // Along the layers, and across them.
     let (along, across, outer) = if sizes.downwards {
-        let pitch = sizes.vertex.1 + 34.0;
-        (pitch, (sizes.width - around) / widest, sizes.width - around)
+        let rows = sizes.vertex.1 + 34.0;
+        (rows, (sizes.width - around) / widest, sizes.width - around)
     } else {
-        let pitch = sizes.vertex.1 + 22.0;
-        (sizes.width / count, pitch, pitch * widest)
+        let rows = sizes.vertex.1 + 22.0;
+        (sizes.width / count, rows, rows * widest)
     };
     let size = if sizes.downwards {
-        (sizes.vertex.0.min(across - 10.0), sizes.vertex.1)
+        (sizes.vertex.0.min((across - 10.0).max(0.6 * across)), sizes.vertex.1)
     } else {
         (sizes.vertex.0.min(along * 0.7), sizes.vertex.1)
     };
@@ -181,8 +183,10 @@ pub(super) fn draw(vertices: &[Vertex], edges: &[Edge], sizes: Sizes) -> Drawing
     }
     for (number, &index) in back.iter().enumerate() {
         let edge = &edges[index];
-        let lane = outer + 10.0 + 11.0 * number as f64;
-        let spread = 5.0 * (number as f64 - 0.5 * (back.len() as f64 - 1.0));
+        let lane = outer + 10.0 + pitch * number as f64;
+        let side = if sizes.downwards { size.1 } else { size.0 };
+        let apart = 5.0_f64.min(0.8 * side / back.len() as f64);
+        let spread = apart * (number as f64 - 0.5 * (back.len() as f64 - 1.0));
         let ends = [centre(edge.from), centre(edge.to)];
         loop_around(&mut pen, edge.class, ends, lane, spread, size, sizes.downwards);
     }
@@ -301,4 +305,52 @@ pub(super) fn longest_paths(order: &[usize], edges: &[(usize, usize)]) -> Vec<us
         layers[vertex] = before.max().unwrap_or(0);
     }
     layers
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_receiver_lies_behind_its_senders() {
+        assert_eq!(longest_paths(&[2, 0, 1, 3], &[(2, 0), (0, 1), (2, 1), (1, 3)]), [1, 2, 0, 3]);
+    }
+
+    #[test]
+    fn two_chains_do_not_cross() {
+        // Declared crosswise: the sweeps have to find it.
+        let vertex = |layer: usize| Vertex { layer, name: "v".into(), note: String::new(), lead: false };
+        let vertices: Vec<Vertex> = [0, 0, 1, 1, 2, 2].map(vertex).into();
+        let edge = |(from, to): (usize, usize)| Edge { from, to, class: "link" };
+        let edges: Vec<Edge> = [(0, 3), (1, 2), (3, 4), (2, 5)].map(edge).into();
+        let place = lay_out(&vertices, &edges).place;
+        assert_eq!(place[0] < place[1], place[3] < place[2]);
+        assert_eq!(place[3] < place[2], place[4] < place[5]);
+    }
+
+    #[test]
+    fn large_graphs_stay_within_the_page() {
+        let vertices: Vec<Vertex> = (0..200)
+            .map(|index| Vertex {
+                layer: index / 25,
+                name: format!("node_{index}"),
+                note: "100 Hz".into(),
+                lead: index == 199,
+            })
+            .collect();
+        // Edges of every kind: one layer on, several layers on, back, and to itself.
+        let edges: Vec<Edge> =
+            (0..1000).map(|k| Edge { from: k * 7 % 200, to: k * k % 200, class: "latest" }).collect();
+        for downwards in [false, true] {
+            let sizes = Sizes { width: 1040.0, vertex: (130.0, 38.0), downwards };
+            let drawing = draw(&vertices, &edges, sizes);
+            assert!(drawing.height.is_finite());
+            let svg = drawing.pen.finish("plot", 1040.0, drawing.height, "large");
+            assert!(!svg.contains("NaN") && !svg.contains("inf"), "a coordinate is no number");
+            for x in svg.split(" x=\"").skip(1).filter_map(|rest| rest.split('"').next()) {
+                let x: f64 = x.parse().unwrap();
+                assert!((-200.0..1040.0).contains(&x), "{x}");
+            }
+        }
+    }
 }

@@ -10,6 +10,7 @@ use std::path::Path;
 
 use anyhow::Context;
 use parallax_gap::plot::draw::{self, Anchor, Pen, escape};
+use parallax_gap::plot::format::wrap;
 use parallax_gap::plot::page;
 
 use crate::cli::args::make_parent;
@@ -62,21 +63,28 @@ fn page_of(title: &str, lead: &str, figures: Vec<Figure>) -> String {
 
 fn picture_of(title: &str, lead: &str, figures: Vec<Figure>) -> String {
     let margin = 24.0;
-    let height: f64 = figures.iter().map(|figure| figure.wide.height + 62.0).sum();
-    let height = height + 70.0;
     let mut pen = Pen::default();
-    pen.raw(&format!("<style>{}</style>", draw::style_on_paper()));
-    pen.rect("paper", (0.0, 0.0), (WIDE + 2.0 * margin, height));
-    pen.text("title", (margin, 34.0), Anchor::Start, title);
-    pen.text("soft", (margin, 54.0), Anchor::Start, lead);
-    let mut y = 70.0;
+    let mut y = 54.0;
     for Figure { title, note, wide, .. } in figures {
-        pen.text("head", (margin, y + 22.0), Anchor::Start, &title);
-        pen.text("small", (margin, y + 39.0), Anchor::Start, &note);
-        pen.raw(&format!("<g transform=\"translate({margin} {})\">", draw::px(y + 50.0)));
+        y += 38.0;
+        pen.text("head", (margin, y), Anchor::Start, &title);
+        for line in wrap(&note, 165) {
+            y += 16.0;
+            pen.text("small", (margin, y), Anchor::Start, &line);
+        }
+        y += 12.0;
+        pen.raw(&format!("<g transform=\"translate({margin} {})\">", draw::px(y)));
         pen.raw(&wide.pen.finish("plot", WIDE, wide.height, &title));
         pen.raw("</g>");
-        y += wide.height + 62.0;
+        y += wide.height;
     }
-    pen.finish("figure", WIDE + 2.0 * margin, height, title)
+    // The paper lies below everything, and how high it is shows only now.
+    let size = (WIDE + 2.0 * margin, y + 24.0);
+    let mut sheet = Pen::default();
+    sheet.raw(&format!("<style>{}</style>", draw::style_on_paper()));
+    sheet.rect("paper", (0.0, 0.0), size);
+    sheet.text("title", (margin, 34.0), Anchor::Start, title);
+    sheet.text("soft", (margin, 54.0), Anchor::Start, lead);
+    sheet.raw(&pen.into_elements());
+    sheet.finish("figure", size.0, size.1, title)
 }

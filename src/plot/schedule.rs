@@ -27,12 +27,13 @@ pub(crate) fn default_range(graph: &Graph, episode: &Episode) -> (Nanos, Nanos) 
 
 /// Draws what happened from `from` on for `span`, a lane a node.
 pub(crate) fn figure(graph: &Graph, episode: &Episode, from: Nanos, span: Nanos) -> Figure {
+    let (unit, per_second) = unit(from.saturating_add(span));
     Figure {
         title: "Schedule".into(),
         note: format!(
-            "From {} s on. Boxes: steps, from start to end. Lines: messages, from sent to the start of the step that \
+            "From {} {unit} on. Boxes: steps, from start to end. Lines: messages, from sent to the start of the step that \
              saw them first.",
-            number(to_seconds(from), 4)
+            number(to_seconds(from) * per_second, 5)
         ),
         wide: lanes(graph, episode, (from, span), WIDE, 96.0),
         // A narrow page shows the beginning at the same scale as far as it goes.
@@ -54,7 +55,7 @@ fn lanes(graph: &Graph, episode: &Episode, (from, span): (Nanos, Nanos), width: 
     let top = |node: usize| 8.0 + (LANE + BETWEEN) * row[node] as f64;
     let bottom = 8.0 + (LANE + BETWEEN) * row.len() as f64 - BETWEEN + 10.0;
 
-    let (unit, per_second) = if to_seconds(span) < 1.0 { ("ms", 1e3) } else { ("s", 1.0) };
+    let (unit, per_second) = unit(to);
     let (low, high) = (to_seconds(from) * per_second, to_seconds(to) * per_second);
     let tick = step((high - low) / (width / 90.0));
     for value in multiples(low, high, tick) {
@@ -109,6 +110,11 @@ fn lanes(graph: &Graph, episode: &Episode, (from, span): (Nanos, Nanos), width: 
         }
     }
     super::graph::with_legend(Drawing { pen, height: bottom + 20.0 }, width)
+}
+
+/// The unit in which times up to `end` are read best, and how many of it are a second.
+fn unit(end: Nanos) -> (&'static str, f64) {
+    if end < 2 * SECOND { ("ms", 1e3) } else { ("s", 1.0) }
 }
 
 /// When each message of a connection was sent, and when the first step that saw it started.

@@ -85,6 +85,11 @@ impl Pen {
         )
     }
 
+    /// Everything drawn so far, for another drawing to hold.
+    pub fn into_elements(self) -> String {
+        self.elements
+    }
+
     /// An element as it is written. What it holds must be escaped.
     pub fn raw(&mut self, element: &str) {
         self.elements.push_str(element);
