@@ -59,7 +59,7 @@ fn graph(nodes: &[(String, f64)], connections: &[(usize, usize, usize, bool)], s
         .iter()
         .zip(&inputs)
         .map(|((name, rate), inputs)| {
-            let mut node = NodeSpec::new(name, &format!("inputs_{inputs}"), *rate);
+            let mut node = NodeSpec::new(name, format!("inputs_{inputs}"), *rate);
             node.computation = Delay::Normal { mean: 0.2 / rate, std: 0.05 / rate };
             node
         })

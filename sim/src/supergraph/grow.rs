@@ -5,8 +5,9 @@ use std::collections::HashSet;
 use super::merge::merge;
 use super::poset::{Distinct, Matcher, Poset};
 
-/// States that a merge keeps.
+/// States that a merge keeps, and for how many vertices in all: a merge of a large order keeps fewer.
 const WIDTH: usize = 32;
+const WIDTH_VERTICES: usize = 640;
 /// Vertices and slots looked at before the backtracking ends even if more was asked for, about a second: it must end on
 /// large graphs, and a clock would make the result depend on the machine.
 const WORK: usize = 500_000_000;
@@ -48,9 +49,10 @@ impl Search<'_> {
             let poset = &self.posets[index];
             self.work += poset.len() + sequence.len();
             if !self.matcher.fits(poset, &sequence) {
-                // What a merge costs, roughly: every state is looked at in every slot.
-                self.work += WIDTH * (poset.len() + sequence.len());
-                sequence = merge(poset, &sequence, self.labels, WIDTH);
+                let width = (WIDTH_VERTICES / poset.len().max(1)).clamp(2, WIDTH);
+                // What a merge costs, roughly: in every slot, every state's counts of every chain.
+                self.work += width * poset.chains.len() * sequence.len();
+                sequence = merge(poset, &sequence, self.labels, width);
             }
         }
         sequence
