@@ -1,6 +1,7 @@
 //! One kernel, compiled for every instruction set of the architecture and chosen at run time.
 
 use std::fmt::Debug;
+use std::sync::atomic::{AtomicU8, Ordering};
 
 use super::{F32x32, F64x16};
 use crate::scalar::Scalar;
@@ -118,33 +119,25 @@ impl Level {
     /// The widest level that this machine has. Asked once; afterwards an atomic load.
     #[inline]
     pub fn widest() -> Level {
-        if Level::Avx512.is_available() {
-            Level::Avx512
-        } else if Level::Avx2.is_available() {
-            Level::Avx2
-        } else {
-            Level::Baseline
+        match WIDEST.load(Ordering::Relaxed) {
+            1 => Level::Baseline,
+            2 => Level::Avx2,
+            3 => Level::Avx512,
+            _ => Self::detect(),
         }
+    }
+
+    #[cold]
+    fn detect() -> Level {
+        let widest = detected();
+        WIDEST.store(widest as u8 + 1, Ordering::Relaxed);
+        widest
     }
 
     /// Whether this machine has the level's instructions.
     #[inline]
     pub fn is_available(self) -> bool {
-        match self {
-            Level::Baseline => true,
-            #[cfg(target_arch = "x86_64")]
-            Level::Avx2 => std::arch::is_x86_feature_detected!("avx2"),
-            #[cfg(target_arch = "x86_64")]
-            Level::Avx512 => {
-                std::arch::is_x86_feature_detected!("avx512f")
-                    && std::arch::is_x86_feature_detected!("avx512bw")
-                    && std::arch::is_x86_feature_detected!("avx512cd")
-                    && std::arch::is_x86_feature_detected!("avx512dq")
-                    && std::arch::is_x86_feature_detected!("avx512vl")
-            }
-            #[cfg(not(target_arch = "x86_64"))]
-            Level::Avx2 | Level::Avx512 => false,
-        }
+        self <= Self::widest()
     }
 
     /// Runs a kernel on this level's instructions, or on the baseline's where the machine lacks them. The results have
@@ -169,6 +162,31 @@ impl Level {
     pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
         kernel.run::<Portable>()
     }
+}
+
+/// The widest level plus one; 0 as long as nobody has asked.
+static WIDEST: AtomicU8 = AtomicU8::new(0);
+
+#[cfg(target_arch = "x86_64")]
+fn detected() -> Level {
+    use std::arch::is_x86_feature_detected;
+    if !is_x86_feature_detected!("avx2") {
+        Level::Baseline
+    } else if is_x86_feature_detected!("avx512f")
+        && is_x86_feature_detected!("avx512bw")
+        && is_x86_feature_detected!("avx512cd")
+        && is_x86_feature_detected!("avx512dq")
+        && is_x86_feature_detected!("avx512vl")
+    {
+        Level::Avx512
+    } else {
+        Level::Avx2
+    }
+}
+
+#[cfg(not(target_arch = "x86_64"))]
+fn detected() -> Level {
+    Level::Baseline
 }
 
 /// Arrays, left to the compiler.

@@ -57,13 +57,64 @@ impl<V: Vector, const K: usize> Not for Mask<V, K> {
     }
 }
 
+/// The same function on every register. Macros, since a function that is passed on is compiled by itself, for the
+/// baseline, and then called.
+macro_rules! map {
+    ($x:expr, $register:ident => $result:expr) => {{
+        let mut lanes = $x;
+        for k in 0..K {
+            let $register = lanes.0[k];
+            lanes.0[k] = $result;
+        }
+        lanes
+    }};
+}
+
+/// The same function on every pair of registers.
+macro_rules! zip {
+    ($x:expr, $y:expr, ($a:ident, $b:ident) => $result:expr) => {{
+        let (mut lanes, other) = ($x, $y);
+        for k in 0..K {
+            let ($a, $b) = (lanes.0[k], other.0[k]);
+            lanes.0[k] = $result;
+        }
+        lanes
+    }};
+}
+
+/// The same comparison of every pair of registers.
+macro_rules! compare {
+    ($x:expr, $y:expr, ($a:ident, $b:ident) => $result:expr) => {{
+        let (lanes, other) = ($x, $y);
+        let holds = |$a: V, $b: V| $result;
+        let mut mask = [holds(lanes.0[0], other.0[0]); K];
+        for k in 1..K {
+            mask[k] = holds(lanes.0[k], other.0[k]);
+        }
+        Mask(mask)
+    }};
+}
+
+/// A function of angles: the first on all lanes, or the second lane by lane if one angle is too large for it.
+macro_rules! circular {
+    ($x:expr, $near:ident, $exact:path) => {{
+        let x = $x;
+        let mut on_circle = functions::on_circle(x.0[0]);
+        for k in 1..K {
+            on_circle = V::and(on_circle, functions::on_circle(x.0[k]));
+        }
+        let near = map!(x, register => functions::$near(register));
+        if V::all(on_circle) { near } else { large_angles(x, near, $exact) }
+    }};
+}
+
 macro_rules! operator {
     ($operator:ident, $method:ident) => {
         impl<V: Vector, const K: usize> $operator for Lanes<V, K> {
             type Output = Self;
             #[inline(always)]
             fn $method(self, other: Self) -> Self {
-                self.zip(other, V::$method)
+                zip!(self, other, (a, b) => a.$method(b))
             }
         }
 
@@ -71,7 +122,7 @@ macro_rules! operator {
             type Output = Self;
             #[inline(always)]
             fn $method(self, other: f64) -> Self {
-                self.zip(Self::constant(other), V::$method)
+                zip!(self, Self::constant(other), (a, b) => a.$method(b))
             }
         }
     };
@@ -87,51 +138,15 @@ impl<V: Vector, const K: usize> Neg for Lanes<V, K> {
     type Output = Self;
     #[inline(always)]
     fn neg(self) -> Self {
-        self.map(V::neg)
+        map!(self, x => x.neg())
     }
 }
 
 impl<V: Vector, const K: usize> Lanes<V, K> {
-    #[inline(always)]
-    fn map(mut self, function: impl Fn(V) -> V) -> Self {
-        for k in 0..K {
-            self.0[k] = function(self.0[k]);
-        }
-        self
-    }
-
-    #[inline(always)]
-    fn zip(mut self, other: Self, function: impl Fn(V, V) -> V) -> Self {
-        for k in 0..K {
-            self.0[k] = function(self.0[k], other.0[k]);
-        }
-        self
-    }
-
-    #[inline(always)]
-    fn compare(self, other: Self, holds: impl Fn(V, V) -> V::Mask) -> Mask<V, K> {
-        let mut mask = [holds(self.0[0], other.0[0]); K];
-        for k in 1..K {
-            mask[k] = holds(self.0[k], other.0[k]);
-        }
-        Mask(mask)
-    }
-
     /// A function of doubles, lane by lane.
     #[inline(always)]
-    fn each(self, function: impl Fn(f64) -> f64) -> Self {
-        self.map(|x| x.each(|x| V::Element::from_f64(function(x.to_f64()))))
-    }
-
-    /// A function of angles: `near` on all lanes, or `exact` lane by lane if one angle is too large for it.
-    #[inline(always)]
-    fn circular(self, near: impl Fn(V) -> V, exact: fn(f64) -> f64) -> Self {
-        let mut on_circle = functions::on_circle(self.0[0]);
-        for k in 1..K {
-            on_circle = V::and(on_circle, functions::on_circle(self.0[k]));
-        }
-        let result = self.map(near);
-        if V::all(on_circle) { result } else { large_angles(self, result, exact) }
+    fn each(self, function: fn(f64) -> f64) -> Self {
+        map!(self, x => x.each(|x| V::Element::from_f64(function(x.to_f64()))))
     }
 }
 
@@ -143,11 +158,9 @@ fn large_angles<V: Vector, const K: usize>(
     near: Lanes<V, K>,
     exact: fn(f64) -> f64,
 ) -> Lanes<V, K> {
-    x.zip(near, |x, near| {
-        x.each_pair(near, |x, near| {
-            if functions::on_circle(x) { near } else { V::Element::from_f64(exact(x.to_f64())) }
-        })
-    })
+    zip!(x, near, (x, near) => x.each_pair(near, |x, near| {
+        if functions::on_circle(x) { near } else { V::Element::from_f64(exact(x.to_f64())) }
+    }))
 }
 
 impl<V: Vector, const K: usize> Scalar for Lanes<V, K> {
@@ -158,15 +171,15 @@ impl<V: Vector, const K: usize> Scalar for Lanes<V, K> {
     }
     #[inline(always)]
     fn sin(self) -> Self {
-        self.circular(functions::sin, f64::sin)
+        circular!(self, sin, f64::sin)
     }
     #[inline(always)]
     fn cos(self) -> Self {
-        self.circular(functions::cos, f64::cos)
+        circular!(self, cos, f64::cos)
     }
     #[inline(always)]
     fn tan(self) -> Self {
-        self.circular(functions::tan, f64::tan)
+        circular!(self, tan, f64::tan)
     }
     #[inline(always)]
     fn asin(self) -> Self {
@@ -182,29 +195,27 @@ impl<V: Vector, const K: usize> Scalar for Lanes<V, K> {
     }
     #[inline(always)]
     fn atan2(self, x: Self) -> Self {
-        self.zip(x, |y, x| y.each_pair(x, |y, x| V::Element::from_f64(y.to_f64().atan2(x.to_f64()))))
+        zip!(self, x, (y, x) => y.each_pair(x, |y, x| V::Element::from_f64(y.to_f64().atan2(x.to_f64()))))
     }
     #[inline(always)]
     fn exp(self) -> Self {
-        self.map(functions::exp)
+        map!(self, x => functions::exp(x))
     }
     #[inline(always)]
     fn ln(self) -> Self {
-        self.map(functions::ln)
+        map!(self, x => functions::ln(x))
     }
     #[inline(always)]
     fn sqrt(self) -> Self {
-        self.map(V::sqrt)
+        map!(self, x => x.sqrt())
     }
     #[inline(always)]
     fn tanh(self) -> Self {
-        self.map(functions::tanh)
+        map!(self, x => functions::tanh(x))
     }
     #[inline(always)]
     fn powf(self, exponent: Self) -> Self {
-        self.zip(exponent, |x, exponent| {
-            x.each_pair(exponent, |x, exponent| V::Element::from_f64(x.to_f64().powf(exponent.to_f64())))
-        })
+        zip!(self, exponent, (x, exponent) => x.each_pair(exponent, |x, exponent| V::Element::from_f64(x.to_f64().powf(exponent.to_f64()))))
     }
     #[inline(always)]
     fn powi(self, exponent: i32) -> Self {
@@ -225,36 +236,36 @@ impl<V: Vector, const K: usize> Scalar for Lanes<V, K> {
     }
     #[inline(always)]
     fn abs(self) -> Self {
-        self.map(V::abs)
+        map!(self, x => x.abs())
     }
     #[inline(always)]
     fn sign(self) -> Self {
-        self.map(functions::sign)
+        map!(self, x => functions::sign(x))
     }
     #[inline(always)]
     fn floor(self) -> Self {
-        self.map(V::floor)
+        map!(self, x => x.floor())
     }
 
     #[inline(always)]
     fn lt(self, other: Self) -> Mask<V, K> {
-        self.compare(other, V::lt)
+        compare!(self, other, (a, b) => a.lt(b))
     }
     #[inline(always)]
     fn le(self, other: Self) -> Mask<V, K> {
-        self.compare(other, V::le)
+        compare!(self, other, (a, b) => a.le(b))
     }
     #[inline(always)]
     fn eq(self, other: Self) -> Mask<V, K> {
-        self.compare(other, V::eq)
+        compare!(self, other, (a, b) => a.eq(b))
     }
     #[inline(always)]
     fn gt(self, other: Self) -> Mask<V, K> {
-        self.compare(other, |a, b| b.lt(a))
+        compare!(self, other, (a, b) => b.lt(a))
     }
     #[inline(always)]
     fn ge(self, other: Self) -> Mask<V, K> {
-        self.compare(other, |a, b| b.le(a))
+        compare!(self, other, (a, b) => b.le(a))
     }
     #[inline(always)]
     fn select(mask: Mask<V, K>, then: Self, otherwise: Self) -> Self {
@@ -266,11 +277,11 @@ impl<V: Vector, const K: usize> Scalar for Lanes<V, K> {
     }
     #[inline(always)]
     fn min(self, other: Self) -> Self {
-        self.zip(other, |a, b| V::select(a.lt(b), a, b))
+        zip!(self, other, (a, b) => V::select(a.lt(b), a, b))
     }
     #[inline(always)]
     fn max(self, other: Self) -> Self {
-        self.zip(other, |a, b| V::select(b.lt(a), a, b))
+        zip!(self, other, (a, b) => V::select(b.lt(a), a, b))
     }
     #[inline(always)]
     fn clamp(self, low: Self, high: Self) -> Self {
