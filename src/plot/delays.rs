@@ -19,7 +19,8 @@ pub(crate) fn figure(fits: &[DelayFit], measured: &[Measured]) -> Figure {
     Figure {
         title: "Delays".into(),
         note: "Grey: what was measured, by density. Line: the fitted distribution; a post where it is constant. \
-               Outliers are not drawn."
+               Outliers, and what lies far beyond the middle 90 %, are not \
+               drawn."
             .into(),
         wide: panels(fits, measured, 3, WIDE),
         narrow: panels(fits, measured, 1, NARROW),
@@ -71,9 +72,8 @@ fn draw(pen: &mut Pen, fit: &DelayFit, measured: &Measured, (x, y): (f64, f64), 
         n => about.push_str(&format!(", {n} components")),
     }
     if fit.outliers > 0 {
-        about.push_str(&format!(", {} outliers", fit.outliers));
+        about.push_str(&format!(", {} outlier{}", fit.outliers, if fit.outliers == 1 { "" } else { "s" }));
     }
-    pen.text("small", (x, y + 27.0), Anchor::Start, &about);
 
     // All that is no outlier, and all of the fit that matters.
     let parts = parts(&fit.fit);
@@ -85,9 +85,22 @@ fn draw(pen: &mut Pen, fit: &DelayFit, measured: &Measured, (x, y): (f64, f64), 
         low = low.min(fit.min_s);
         high = high.max(fit.max_s);
     }
+    // A long thin tail would leave no width for the rest; how much of it is cut is told.
+    let at = |share: f64| samples[((samples.len() - 1) as f64 * share).round() as usize];
+    let most = at(0.95) - at(0.05);
+    if most > 0.0 {
+        low = low.max(at(0.05) - most);
+        high = high.min(at(0.95) + most);
+    }
     let room = 0.04 * (high - low).max(0.02 * high).max(4.0 * fit.resolution_s);
     let (low, high) = ((low - room).max(0.0), high + room);
     let shown = &samples[samples.partition_point(|s| *s < low)..samples.partition_point(|s| *s <= high)];
+
+    let beyond = samples.len() - shown.len();
+    if beyond > fit.outliers {
+        about.push_str(&format!(", {} beyond", beyond - fit.outliers));
+    }
+    pen.text("small", (x, y + 27.0), Anchor::Start, &about);
 
     let bottom = y + TITLE + PANEL;
     let at = |seconds: f64| x + width * ((seconds - low) / (high - low)).clamp(0.0, 1.0);

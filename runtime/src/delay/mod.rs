@@ -150,7 +150,7 @@ impl Delay {
             }
             Self::Mixture { weights, .. }
                 if !weights.iter().all(|w| valid(*w))
-                    || !(weights.iter().sum::<f64>().is_finite() && weights.iter().sum::<f64>() > 0.0) =>
+                    || !(f64::MIN_POSITIVE..=f64::MAX).contains(&weights.iter().sum()) =>
             {
                 Some("needs weights of at least 0 with a positive, finite sum")
             }
