@@ -11,7 +11,7 @@ use super::rows::slot;
 use super::trainable::TrainableDelay;
 use super::{CompileError, CompileOptions, CompiledGraph, CompiledNode};
 use crate::episode::Episode;
-use crate::supergraph::{Dag, DagInput, DagNode, Embedding, Partitioning, Supergraph, partition, supergraph};
+use crate::supergraph::{Dag, DagInput, DagNode, Embedding, Partitioning, Plan, PlanOptions, plan};
 
 /// One connection as it is compiled.
 pub(super) struct Edge {
@@ -82,8 +82,10 @@ pub fn compile(
         .map(|episode| edges.iter().enumerate().map(|(index, edge)| numbers(episode, index, edge)).collect())
         .collect();
     let stateful = stateful(graph, options);
-    let (found, partitionings, embeddings) = slots(graph, episodes, &seen, &edges, &stateful, options)?;
+    let plan = slots(graph, episodes, &seen, &edges, &stateful, options)?;
 
+    let executed = plan.vertices();
+    let Plan { supergraph: found, episodes: partitionings, embeddings } = plan;
     let warm_up = partitionings.iter().map(|partitioning| partitioning.warm_up).max().unwrap_or(0);
     let supervisor = graph.supervisor();
     let lengths: Vec<u32> = episodes.iter().map(|episode| episode.nodes[supervisor].len() as u32).collect();
@@ -140,7 +142,7 @@ pub fn compile(
         steps,
         lengths,
         warm_up,
-        executed: partitionings.iter().map(Partitioning::vertices).sum(),
+        executed,
         supergraph: found,
     })
 }
@@ -224,9 +226,7 @@ fn stateful(graph: &Graph, options: &CompileOptions) -> Vec<bool> {
     nodes.collect()
 }
 
-type Slots = (Supergraph, Vec<Partitioning>, Vec<Vec<Embedding>>);
-
-/// Cuts the episodes and finds the slots; one embedding per partition of each episode.
+/// Cuts the episodes and finds the slots.
 fn slots(
     graph: &Graph,
     episodes: &[Episode],
@@ -234,36 +234,28 @@ fn slots(
     edges: &[Edge],
     stateful: &[bool],
     options: &CompileOptions,
-) -> Result<Slots, CompileError> {
-    let supervisor = graph.supervisor() as u32;
-    let partitionings = episodes
-        .par_iter()
-        .zip(seen)
-        .map(|(episode, seen)| {
-            let nodes = graph.nodes().iter().enumerate().map(|(index, plan)| DagNode {
-                start: &episode.nodes[index].start,
-                stateful: stateful[index],
-                keep: options.keep.contains(&index),
-                inputs: plan
-                    .inputs
-                    .iter()
-                    .filter(|&&connection| edges[connection].read)
-                    .map(|&connection| DagInput {
-                        from: edges[connection].from as u32,
-                        window: edges[connection].candidates,
-                        seq: &seen[connection],
-                    })
-                    .collect(),
-            });
-            partition(&Dag { nodes: nodes.collect() }, supervisor, options.cut, options.start)
-        })
-        .collect::<Result<Vec<Partitioning>, _>>()?;
-    let all: Vec<_> = partitionings.iter().flat_map(|one| one.partitions.iter().cloned()).collect();
-    let (found, embeddings) = supergraph(&all, supervisor, options.method)?;
-    let mut embeddings = embeddings.into_iter();
-    let by_episode =
-        partitionings.iter().map(|one| embeddings.by_ref().take(one.partitions.len()).collect()).collect();
-    Ok((found, partitionings, by_episode))
+) -> Result<Plan, CompileError> {
+    let dags = episodes.iter().zip(seen).map(|(episode, seen)| {
+        let nodes = graph.nodes().iter().enumerate().map(|(index, plan)| DagNode {
+            start: &episode.nodes[index].start,
+            stateful: stateful[index],
+            keep: options.keep.contains(&index),
+            inputs: plan
+                .inputs
+                .iter()
+                .filter(|&&connection| edges[connection].read)
+                .map(|&connection| DagInput {
+                    from: edges[connection].from as u32,
+                    window: edges[connection].candidates,
+                    seq: &seen[connection],
+                })
+                .collect(),
+        });
+        Dag { nodes: nodes.collect() }
+    });
+    let dags: Vec<Dag<'_>> = dags.collect();
+    let plan_options = PlanOptions { cut: options.cut, start: options.start, method: options.method };
+    Ok(plan(&dags, graph.supervisor() as u32, &plan_options)?)
 }
 
 /// Writes down when every step of an episode is executed.
