@@ -115,8 +115,7 @@ pub enum EpisodeError {
     },
     /// A step saw a message of which the recording has no step.
     #[error(
-        "node `{node}`, step {step} saw message {seq} of `{sender}`, which the recording lacks; it may be cut: \
-         keep only its beginning"
+        "node `{node}`, step {step} saw message {seq} of `{sender}`, which the recording lacks; it is damaged"
     )]
     MissingMessage {
         /// The receiver.
@@ -140,7 +139,8 @@ impl Episode {
         }
     }
 
-    /// The schedule of a recording. Nodes that the graph does not have are left out.
+    /// The schedule of a recording. Nodes that the graph does not have are left out. Of a recording that was cut, whose
+    /// tracks end at different times, the steps are left out that saw what lies beyond the cut.
     ///
     /// # Errors
     ///
@@ -152,6 +152,9 @@ impl Episode {
             let track =
                 recording.node(name).ok_or_else(|| EpisodeError::MissingNode { node: name.clone() })?;
             episode.take(graph, index, track)?;
+        }
+        if recording.truncated.is_some() {
+            episode.drop_beyond_cut(graph);
         }
         episode.check_messages(graph)?;
         Ok(episode)
@@ -200,6 +203,30 @@ impl Episode {
             }
         }
         Ok(())
+    }
+
+    /// Ends every node before its first step that saw a message of which there is no step.
+    fn drop_beyond_cut(&mut self, graph: &Graph) {
+        let mut changed = true;
+        while changed {
+            changed = false;
+            for (index, plan) in graph.connections().iter().enumerate() {
+                let sent = self.nodes[plan.from].len() as i64;
+                let consumption = &self.connections[index];
+                let Some(place) = consumption.seq.iter().position(|&seq| seq >= sent) else { continue };
+                let kept = place / consumption.window;
+                let steps = &mut self.nodes[plan.to];
+                steps.due.truncate(kept);
+                steps.start.truncate(kept);
+                steps.end.truncate(kept);
+                for &input in &graph.nodes()[plan.to].inputs {
+                    let consumption = &mut self.connections[input];
+                    consumption.seq.truncate(kept * consumption.window);
+                    consumption.received.truncate(kept * consumption.window);
+                }
+                changed = true;
+            }
+        }
     }
 
     /// Every message that was seen has a step that made it.
