@@ -24,13 +24,19 @@ pub enum Given<'a> {
 }
 
 impl Given<'_> {
+    /// In which row of steps an environment's outputs begin.
+    pub(super) fn row(&self, environment: usize, episode: usize) -> usize {
+        match self {
+            Given::PerEnvironment { steps, .. } => environment * steps,
+            Given::PerEpisode { steps, .. } => episode * steps,
+        }
+    }
+
     #[inline(always)]
-    pub(super) fn message(&self, environment: usize, episode: usize, seq: usize, leaves: usize) -> &[f64] {
-        let (steps, values, row) = match self {
-            Given::PerEnvironment { steps, values } => (steps, values, environment),
-            Given::PerEpisode { steps, values } => (steps, values, episode),
-        };
-        &values[(row * steps + seq) * leaves..][..leaves]
+    pub(super) fn values(&self) -> &[f64] {
+        match self {
+            Given::PerEnvironment { values, .. } | Given::PerEpisode { values, .. } => values,
+        }
     }
 }
 

@@ -1,5 +1,7 @@
 //! Environments of one episode, stepped together through its passes.
 
+use std::cell::Cell;
+
 use parallax_model::node_model::{NodeStep, Scratch};
 use parallax_runtime::random::{Purpose, stream};
 use parallax_runtime::time::to_seconds;
@@ -24,6 +26,8 @@ pub(super) struct Group<'a, T: Number> {
     selected: Vec<Vec<Selected<T>>>,
     /// The delays' places between their bounds, `[connection][lane]`; empty where they are not trainable.
     alphas: Vec<Vec<f64>>,
+    /// Where the given outputs of every lane begin, `[node][lane]`; empty where a node computes them.
+    given: Vec<Vec<usize>>,
     /// The place of every node's newest output.
     newest: Vec<u32>,
     output: Vec<T>,
@@ -43,6 +47,30 @@ struct Node<T> {
     next: i32,
 }
 
+impl<T: Number> Node<T> {
+    /// Draws the noise of step `seq` of every environment.
+    #[inline(always)]
+    fn draw(&mut self, seq: i32) {
+        let skipped = seq - self.next;
+        self.next = seq + 1;
+        if self.random.is_empty() {
+            return;
+        }
+        let blocks = self.random.len().div_ceil(T::LANES);
+        let noise = self.noise.len() / blocks;
+        for (position, random) in self.random.iter_mut().enumerate() {
+            // Steps on which nothing depends do not run, but have their numbers.
+            for _ in 0..skipped.max(0) as usize * noise {
+                let _: f64 = StandardNormal.sample(random);
+            }
+            let (block, lane) = (position / T::LANES, position % T::LANES);
+            for number in &mut self.noise[block * noise..(block + 1) * noise] {
+                number.set(lane, StandardNormal.sample(random));
+            }
+        }
+    }
+}
+
 impl<'a, T: Number> Group<'a, T> {
     pub(super) fn new(
         batch: &'a Batch<'a>,
@@ -60,7 +88,7 @@ impl<'a, T: Number> Group<'a, T> {
                 params: gather(&environments.params[index], node.params.len(), members, blocks),
                 state: gather(&environments.states[index], node.state.len(), members, blocks),
                 leaves: [node.params.len(), node.state.len()],
-                noise: vec![T::constant(0.0); noise],
+                noise: vec![T::constant(0.0); noise * blocks],
                 random: if noise > 0 { random.collect() } else { Vec::new() },
                 next: 0,
             }
@@ -72,11 +100,22 @@ impl<'a, T: Number> Group<'a, T> {
             .map(|(node, compiled)| History::new(&node.initial, compiled.history, blocks))
             .collect();
         let selected = compiled.slots.iter().map(|slot| {
-            slot.rows.inputs.iter().map(|input| Selected::new(input, histories[input.from].leaves)).collect()
+            slot.rows
+                .inputs
+                .iter()
+                .map(|input| Selected::new(input, histories[input.from].leaves, blocks))
+                .collect()
         });
         let lanes = (0..blocks * T::LANES).map(|lane| members[lane.min(members.len() - 1)]);
         let alphas = environments.alphas.iter().map(|alphas| {
             if alphas.is_empty() { Vec::new() } else { lanes.clone().map(|member| alphas[member]).collect() }
+        });
+        let episode = environments.episodes[members[0]] as usize;
+        let given = environments.given.iter().enumerate().map(|(node, given)| {
+            let leaves = batch.nodes[node].initial.len();
+            given.as_ref().map_or_else(Vec::new, |given| {
+                lanes.clone().map(|member| given.row(member, episode) * leaves).collect()
+            })
         });
         let widest = batch.nodes.iter().map(|node| node.initial.len()).max().unwrap_or(0);
         Self {
@@ -87,9 +126,10 @@ impl<'a, T: Number> Group<'a, T> {
             nodes: nodes.collect(),
             selected: selected.collect(),
             alphas: alphas.collect(),
+            given: given.collect(),
             newest: vec![0; histories.len()],
             histories,
-            output: vec![T::constant(0.0); widest],
+            output: vec![T::constant(0.0); widest * blocks],
             scratch: Scratch::default(),
         }
     }
@@ -107,7 +147,7 @@ impl<'a, T: Number> Group<'a, T> {
                 }
                 let (node, seq, write) = (slot.node, slot.rows.seq[row], slot.rows.write[row]);
                 match self.environments.given.get(node).and_then(Option::as_ref) {
-                    Some(given) => self.give(node, given, episode, seq, write),
+                    Some(given) => self.give(node, given, seq, write),
                     None => self.step(index, row),
                 }
                 self.newest[node] = write;
@@ -133,60 +173,58 @@ impl<'a, T: Number> Group<'a, T> {
         let rows = &slot.rows;
         let shape = &self.batch.nodes[slot.node];
         let Some(model) = shape.model.as_deref() else { return };
-        let node = &mut self.nodes[slot.node];
         let start = to_seconds(rows.start[row]);
         let times = [f64::from(rows.seq[row]), to_seconds(rows.due[row]), start].map(T::constant);
-        let skipped = rows.seq[row] - node.next;
-        node.next = rows.seq[row] + 1;
+        for (input, selected) in rows.inputs.iter().zip(&mut self.selected[index]) {
+            if let Some(delay) = &input.trainable {
+                let history = &self.histories[input.from];
+                for (block, alphas) in self.alphas[input.connection].chunks_exact(T::LANES).enumerate() {
+                    selected.select(delay, input, row, start, history, block, alphas);
+                }
+            }
+        }
+        let node = &mut self.nodes[slot.node];
+        node.draw(rows.seq[row]);
+        let noise = node.noise.len() / self.blocks;
+        let leaves = shape.initial.len();
+        let inputs = SlotInputs {
+            ports: &shape.ports,
+            inputs: &rows.inputs,
+            selected: &self.selected[index],
+            row,
+            histories: &self.histories,
+            block: Cell::new(0),
+        };
+        // Made once for all blocks: lanes are too large to be copied for nothing.
+        let mut step = NodeStep::new(times, &[], &inputs);
         let [params, state] = node.leaves;
         for block in 0..self.blocks {
-            if !node.random.is_empty() {
-                let first = block * T::LANES;
-                for (lane, random) in node.random[first..].iter_mut().take(T::LANES).enumerate() {
-                    // Steps on which nothing depends do not run, but have their numbers.
-                    for _ in 0..skipped.max(0) as usize * node.noise.len() {
-                        let _: f64 = StandardNormal.sample(random);
-                    }
-                    for noise in &mut node.noise {
-                        noise.set(lane, StandardNormal.sample(random));
-                    }
-                }
-            }
-            for (input, selected) in rows.inputs.iter().zip(&mut self.selected[index]) {
-                if let Some(delay) = &input.trainable {
-                    let alphas = &self.alphas[input.connection][block * T::LANES..(block + 1) * T::LANES];
-                    selected.select(delay, input, row, start, &self.histories[input.from], block, alphas);
-                }
-            }
-            let inputs = SlotInputs {
-                ports: &shape.ports,
-                inputs: &rows.inputs,
-                selected: &self.selected[index],
-                row,
-                histories: &self.histories,
-                block,
-            };
-            let output = &mut self.output[..shape.initial.len()];
+            inputs.block.set(block);
+            step.noise = &node.noise[block * noise..(block + 1) * noise];
             T::step(
                 model,
                 &node.params[block * params..(block + 1) * params],
                 &mut node.state[block * state..(block + 1) * state],
-                &NodeStep::new(times, &node.noise, &inputs),
+                &step,
                 &mut self.scratch,
-                output,
+                &mut self.output[block * leaves..(block + 1) * leaves],
             );
-            self.histories[slot.node].message_mut(block, rows.write[row]).copy_from_slice(output);
+        }
+        let history = &mut self.histories[slot.node];
+        for block in 0..self.blocks {
+            let output = &self.output[block * leaves..(block + 1) * leaves];
+            history.message_mut(block, rows.write[row]).copy_from_slice(output);
         }
     }
 
     /// Writes a given output into the history.
-    fn give(&mut self, node: usize, given: &Given<'_>, episode: usize, seq: i32, write: u32) {
+    fn give(&mut self, node: usize, given: &Given<'_>, seq: i32, write: u32) {
         let leaves = self.batch.nodes[node].initial.len();
-        for block in 0..self.blocks {
+        let first = seq as usize * leaves;
+        for (block, rows) in self.given[node].chunks_exact(T::LANES).enumerate() {
             let message = self.histories[node].message_mut(block, write);
-            for lane in 0..T::LANES {
-                let member = self.members[(block * T::LANES + lane).min(self.members.len() - 1)];
-                let from = given.message(member, episode, seq as usize, leaves);
+            for (lane, row) in rows.iter().enumerate() {
+                let from = &given.values()[row + first..row + first + leaves];
                 for (leaf, value) in message.iter_mut().zip(from) {
                     leaf.set(lane, *value);
                 }

@@ -1,5 +1,7 @@
 //! What a step of a block reads: histories at the places that the tables name, or what a trainable delay selects.
 
+use std::cell::Cell;
+
 use parallax_model::node_model::StepInputs;
 use parallax_runtime::time::to_seconds;
 
@@ -38,18 +40,25 @@ impl<T: Number> History<T> {
 /// The messages of a port with a trainable delay: they differ from environment to environment.
 #[derive(Debug)]
 pub(super) struct Selected<T> {
-    /// `[place in the window][leaf]`
+    /// `[block][place in the window][leaf]`
     values: Vec<T>,
+    /// `[block][place in the window]`
     stamps: Vec<[T; 3]>,
+    window: usize,
     leaves: usize,
 }
 
 impl<T: Number> Selected<T> {
     /// Room for what `input` reads from messages of so many leaves; none where its delay is not trainable.
-    pub(super) fn new(input: &InputRows, leaves: usize) -> Self {
+    pub(super) fn new(input: &InputRows, leaves: usize, blocks: usize) -> Self {
         let window = if input.trainable.is_some() { input.window } else { 0 };
         let zero = T::constant(0.0);
-        Self { values: vec![zero; window * leaves], stamps: vec![[zero; 3]; window], leaves }
+        Self {
+            values: vec![zero; blocks * window * leaves],
+            stamps: vec![[zero; 3]; blocks * window],
+            window,
+            leaves,
+        }
     }
 
     /// Selects, for every environment of a block, the messages that a step at `start` (s) sees under its own delay.
@@ -85,7 +94,7 @@ impl<T: Number> Selected<T> {
                 let initial = seqs[held] < 0;
                 let received = if initial { 0.0 } else { sent(held) + seconds };
                 let stamps = [f64::from(seqs[held]), sent(held), received];
-                for (stamp, value) in self.stamps[index].iter_mut().zip(stamps) {
+                for (stamp, value) in self.stamps[block * self.window + index].iter_mut().zip(stamps) {
                     stamp.set(lane, value);
                 }
                 let message = history.message(block, read[held]);
@@ -100,7 +109,8 @@ impl<T: Number> Selected<T> {
                     }
                 };
                 let after = history.message(block, read[after]);
-                let to = &mut self.values[index * self.leaves..(index + 1) * self.leaves];
+                let first = (block * self.window + index) * self.leaves;
+                let to = &mut self.values[first..first + self.leaves];
                 for ((to, message), after) in to.iter_mut().zip(message).zip(after) {
                     let (a, b) = (message.get(lane), after.get(lane));
                     to.set(lane, if share == 0.0 { a } else { a + share * (b - a) });
@@ -117,13 +127,15 @@ pub(super) struct SlotInputs<'a, T> {
     pub(super) selected: &'a [Selected<T>],
     pub(super) row: usize,
     pub(super) histories: &'a [History<T>],
-    pub(super) block: usize,
+    pub(super) block: Cell<usize>,
 }
 
 impl<T: Number> StepInputs<T> for SlotInputs<'_, T> {
     #[inline]
     fn port(&self, name: &str) -> Option<usize> {
-        self.ports.iter().position(|port| port == name)
+        // Names are short: a loop over bytes is faster than a call.
+        let same = |port: &String| port.len() == name.len() && port.bytes().eq(name.bytes());
+        self.ports.iter().position(same)
     }
     #[inline]
     fn window(&self, port: usize) -> usize {
@@ -133,7 +145,8 @@ impl<T: Number> StepInputs<T> for SlotInputs<'_, T> {
     fn stamp(&self, port: usize, index: usize) -> [T; 3] {
         let input = &self.inputs[port];
         if input.trainable.is_some() {
-            return self.selected[port].stamps[index];
+            let selected = &self.selected[port];
+            return selected.stamps[self.block.get() * selected.window + index];
         }
         let place = self.row * input.candidates + index;
         let stamps =
@@ -145,9 +158,10 @@ impl<T: Number> StepInputs<T> for SlotInputs<'_, T> {
         let input = &self.inputs[port];
         if input.trainable.is_some() {
             let selected = &self.selected[port];
-            return &selected.values[index * selected.leaves..(index + 1) * selected.leaves];
+            let first = (self.block.get() * selected.window + index) * selected.leaves;
+            return &selected.values[first..first + selected.leaves];
         }
         let place = input.read[self.row * input.candidates + index];
-        self.histories[input.from].message(self.block, place)
+        self.histories[input.from].message(self.block.get(), place)
     }
 }
