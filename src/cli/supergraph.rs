@@ -19,13 +19,16 @@ pub(crate) struct Found {
     pub(crate) plan: Plan,
 }
 
-/// The methods, the one that compiled graphs use first.
-const METHODS: [(&str, fn() -> Cut, &str, fn() -> Method); 4] = [
-    ("balanced", Cut::default, "minimum common", Method::default),
-    ("balanced", Cut::default, "generational", || Method::Generational),
-    ("balanced", Cut::default, "topological", || Method::Topological),
-    ("ancestors", || Cut::Ancestors, "minimum common", Method::default),
-];
+/// The ways of cutting and of finding slots, the one that compiled graphs use first.
+fn methods() -> [(&'static str, &'static str, PlanOptions); 4] {
+    let with = |cut: Cut, method: Method| PlanOptions { cut, method, ..PlanOptions::default() };
+    [
+        ("balanced", "minimum common", PlanOptions::default()),
+        ("balanced", "generational", with(Cut::default(), Method::Generational)),
+        ("balanced", "topological", with(Cut::default(), Method::Topological)),
+        ("ancestors", "minimum common", with(Cut::Ancestors, Method::default())),
+    ]
+}
 
 /// Finds the slots of one episode by every method.
 pub(crate) fn find(graph: &Graph, episode: &Episode) -> Result<Vec<Found>, SupergraphError> {
@@ -44,12 +47,11 @@ pub(crate) fn find(graph: &Graph, episode: &Episode) -> Result<Vec<Found>, Super
             .collect(),
     });
     let dag = Dag { nodes: nodes.collect() };
-    METHODS
-        .iter()
-        .map(|&(cut, how, name, method)| {
-            let options = PlanOptions { cut: how(), method: method(), ..PlanOptions::default() };
+    methods()
+        .into_iter()
+        .map(|(cut, method, options)| {
             let plan = plan(std::slice::from_ref(&dag), graph.supervisor() as u32, &options)?;
-            Ok(Found { cut, method: name, plan })
+            Ok(Found { cut, method, plan })
         })
         .collect()
 }

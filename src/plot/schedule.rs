@@ -33,7 +33,7 @@ pub(crate) fn figure(graph: &Graph, episode: &Episode, from: Nanos, span: Nanos)
         note: format!(
             "From {} {unit} on. Boxes: steps, from start to end. Lines: messages, from sent to the start of the step that \
              saw them first.",
-            number(to_seconds(from) * per_second, 5)
+            number(to_seconds(from) * per_second, 4)
         ),
         wide: lanes(graph, episode, (from, span), WIDE, 96.0),
         // A narrow page shows the beginning at the same scale as far as it goes.
