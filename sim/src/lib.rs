@@ -5,6 +5,9 @@
 //! [`Recording`](parallax_runtime::recording::Recording) again on exactly what they consumed, compares their outputs bit
 //! for bit, and holds the recorded schedule against the rules; a [`ReplayReport`] says what it found.
 //!
+//! An [`Episode`] is the timing of a run alone: [`generate`] draws one without running a node, [`augment`] puts simulator
+//! nodes into one, and [`compiled`] turns a graph and its episodes into tables that accelerators run.
+//!
 //! ```
 //! use parallax_model::tree::Tree;
 //! use parallax_runtime::delay::Delay;

@@ -95,7 +95,8 @@ fn a_simulator_takes_the_place_of_the_recorded_world() {
 #[test]
 fn nodes_go_and_mistakes_are_named() {
     let (graph, episode) = recorded();
-    let apply = |augmentation: Augmentation<'_>| augmentation.apply(&registry(), &[episode.clone()], 1);
+    let one = std::slice::from_ref(&episode);
+    let apply = |augmentation: Augmentation<'_>| augmentation.apply(&registry(), one, 1);
     // Without the motor, a source drives the world.
     let driven = Augmentation::new(&graph)
         .drop_node("motor")

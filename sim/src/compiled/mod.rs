@@ -6,6 +6,10 @@
 //! the senders' histories at the given places, makes the step, and writes the output into the node's own history at the
 //! given place. Nothing else is needed: the tables hold no rule of the schedule.
 //!
+//! Times in the tables are those of the episodes. A computation delay that follows from a step's output is therefore what
+//! it was in the recording, or what the graph expects in a generated episode; a connection's delay may be left open
+//! ([`TrainableDelay`]).
+//!
 //! A [`CompiledGraph`] knows nothing of what the nodes compute: the native batch and JAX run the same tables.
 
 mod build;
@@ -21,7 +25,7 @@ pub use build::compile;
 pub use trainable::{Interpolation, TrainableConnection, TrainableDelay};
 
 /// What to compile, and how.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct CompileOptions {
     /// How slots are found.
     pub method: Method,
@@ -40,20 +44,6 @@ pub struct CompileOptions {
     pub stateful: Option<Vec<bool>>,
     /// Connections whose delay is chosen at run time.
     pub trainable: Vec<TrainableConnection>,
-}
-
-impl Default for CompileOptions {
-    fn default() -> Self {
-        Self {
-            method: Method::default(),
-            cut: Cut::default(),
-            start: StartUp::default(),
-            keep: Vec::new(),
-            pinned: Vec::new(),
-            stateful: None,
-            trainable: Vec::new(),
-        }
-    }
 }
 
 /// Why a graph and its episodes cannot be compiled.
@@ -127,8 +117,8 @@ pub struct CompiledGraph {
     pub steps: usize,
     /// How many steps the supervisor makes in each episode; the passes after that are padding, in which nothing runs.
     pub lengths: Vec<u32>,
-    /// How many passes come before the supervisor's first step, in which the supervisor's slot does not run. 0 unless
-    /// compiled with [`StartUp::Passes`].
+    /// How many passes come before the supervisor's first step, in which the supervisor's slot does not run. 0
+    /// with [`StartUp::First`].
     pub warm_up: usize,
     /// How many steps run in all episodes together.
     pub executed: usize,
