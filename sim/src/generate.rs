@@ -10,7 +10,8 @@ use crate::episode::Episode;
 use crate::executor::{Executor, SimError};
 
 /// Draws the schedule of one run: bit for bit that of [`Executor`] with this seed, whatever the graph's policies. Only
-/// a computation delay that follows from a step's output cannot be known here; it is what the graph expects of it.
+/// what follows from outputs cannot be known here: a computation delay that does is what the graph expects of it, and no
+/// node gives up.
 ///
 /// ```
 /// use parallax_runtime::graph::GraphSpec;
