@@ -106,7 +106,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let supervised: usize =
             (0..count).map(|index| compiled.lengths[index % compiled.episodes] as usize).sum();
         let mut best = f64::INFINITY;
-        for _ in 0..7 {
+        for _ in 0..25 {
             let begin = Instant::now();
             let results = batch.fold(
                 &environments,

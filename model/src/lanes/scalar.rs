@@ -225,11 +225,11 @@ impl<V: Vector, const K: usize> Scalar for Lanes<V, K> {
         let mut product = Self::constant(1.0);
         while rest != 0 {
             if rest & 1 == 1 {
-                product = product * square;
+                product *= square;
             }
             rest >>= 1;
             if rest != 0 {
-                square = square * square;
+                square *= square;
             }
         }
         if exponent < 0 { Self::constant(1.0) / product } else { product }

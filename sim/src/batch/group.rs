@@ -220,14 +220,15 @@ impl<'a, T: Number> Group<'a, T> {
     /// Writes a given output into the history.
     fn give(&mut self, node: usize, given: &Given<'_>, seq: i32, write: u32) {
         let leaves = self.batch.nodes[node].initial.len();
-        let first = seq as usize * leaves;
+        let (first, values) = (seq as usize * leaves, given.values());
         for (block, rows) in self.given[node].chunks_exact(T::LANES).enumerate() {
             let message = self.histories[node].message_mut(block, write);
-            for (lane, row) in rows.iter().enumerate() {
-                let from = &given.values()[row + first..row + first + leaves];
-                for (leaf, value) in message.iter_mut().zip(from) {
-                    leaf.set(lane, *value);
+            for (leaf, place) in message.iter_mut().enumerate() {
+                let mut lanes = *place;
+                for (lane, row) in rows.iter().enumerate() {
+                    lanes.set(lane, values[row + first + leaf]);
                 }
+                *place = lanes;
             }
         }
     }
