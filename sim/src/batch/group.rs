@@ -4,13 +4,13 @@ use std::cell::Cell;
 
 use parallax_model::node_model::{NodeStep, Scratch};
 use parallax_runtime::random::{Purpose, stream};
-use parallax_runtime::time::to_seconds;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::environments::{Environments, Given};
 use super::inputs::{History, Selected, SlotInputs};
 use super::number::Number;
+use super::schedule::Entry;
 use super::{Batch, Moment};
 
 /// Everything that one group of environments needs; nothing is allocated while it runs.
@@ -136,19 +136,17 @@ impl<'a, T: Number> Group<'a, T> {
 
     /// Runs all passes of the episode. `made` is called for every output, `passed` after every pass.
     pub(super) fn run(&mut self, mut made: impl FnMut(&Made<'_, T>), mut passed: impl FnMut(&Moment<'_>)) {
-        let compiled = self.batch.compiled;
+        let batch = self.batch;
+        let compiled = batch.compiled;
         let episode = self.environments.episodes[self.members[0]] as usize;
-        let passes = compiled.warm_up + compiled.lengths[episode] as usize;
-        for pass in 0..passes {
+        let schedule = &batch.schedules[episode];
+        for pass in 0..schedule.passes() {
             let row = compiled.row(episode, pass);
-            for (index, slot) in compiled.slots.iter().enumerate() {
-                if slot.rows.run[row] == 0 {
-                    continue;
-                }
-                let (node, seq, write) = (slot.node, slot.rows.seq[row], slot.rows.write[row]);
+            for entry in schedule.pass(pass) {
+                let (node, seq, write) = (compiled.slots[entry.slot as usize].node, entry.seq, entry.write);
                 match self.environments.given.get(node).and_then(Option::as_ref) {
                     Some(given) => self.give(node, given, seq, write),
-                    None => self.step(index, row),
+                    None => self.step(entry, schedule.read(entry), row),
                 }
                 self.newest[node] = write;
                 made(&Made { node, seq, place: write, histories: &self.histories, members: self.members });
@@ -168,23 +166,23 @@ impl<'a, T: Number> Group<'a, T> {
 
     /// Every block's step in a slot.
     #[inline(always)]
-    fn step(&mut self, index: usize, row: usize) {
+    fn step(&mut self, entry: &Entry, read: &[u32], row: usize) {
+        let index = entry.slot as usize;
         let slot = &self.batch.compiled.slots[index];
         let rows = &slot.rows;
         let shape = &self.batch.nodes[slot.node];
         let Some(model) = shape.model.as_deref() else { return };
-        let start = to_seconds(rows.start[row]);
-        let times = [f64::from(rows.seq[row]), to_seconds(rows.due[row]), start].map(T::constant);
+        let times = [f64::from(entry.seq), entry.due, entry.start].map(T::constant);
         for (input, selected) in rows.inputs.iter().zip(&mut self.selected[index]) {
-            if let Some(delay) = &input.trainable {
+            if input.trainable.is_some() {
                 let history = &self.histories[input.from];
                 for (block, alphas) in self.alphas[input.connection].chunks_exact(T::LANES).enumerate() {
-                    selected.select(delay, input, row, start, history, block, alphas);
+                    selected.select(input, row, entry.start, history, block, alphas);
                 }
             }
         }
         let node = &mut self.nodes[slot.node];
-        node.draw(rows.seq[row]);
+        node.draw(entry.seq);
         let noise = node.noise.len() / self.blocks;
         let leaves = shape.initial.len();
         let inputs = SlotInputs {
@@ -192,6 +190,8 @@ impl<'a, T: Number> Group<'a, T> {
             inputs: &rows.inputs,
             selected: &self.selected[index],
             row,
+            read,
+            offsets: &self.batch.offsets[index],
             histories: &self.histories,
             block: Cell::new(0),
         };
@@ -213,7 +213,7 @@ impl<'a, T: Number> Group<'a, T> {
         let history = &mut self.histories[slot.node];
         for block in 0..self.blocks {
             let output = &self.output[block * leaves..(block + 1) * leaves];
-            history.message_mut(block, rows.write[row]).copy_from_slice(output);
+            history.message_mut(block, entry.write).copy_from_slice(output);
         }
     }
 

@@ -6,7 +6,7 @@ use parallax_model::node_model::StepInputs;
 use parallax_runtime::time::to_seconds;
 
 use super::number::Number;
-use crate::compiled::{InputRows, Interpolation, TrainableDelay};
+use crate::compiled::{InputRows, Interpolation};
 
 /// The last outputs of one node, for every block of a group: `[block][place][leaf]`.
 #[derive(Debug)]
@@ -64,7 +64,6 @@ impl<T: Number> Selected<T> {
     /// Selects, for every environment of a block, the messages that a step at `start` (s) sees under its own delay.
     pub(super) fn select(
         &mut self,
-        delay: &TrainableDelay,
         input: &InputRows,
         row: usize,
         start: f64,
@@ -72,6 +71,7 @@ impl<T: Number> Selected<T> {
         block: usize,
         alphas: &[f64],
     ) {
+        let Some(delay) = &input.trainable else { return };
         let rows = row * input.candidates..(row + 1) * input.candidates;
         let (seqs, read) = (&input.seq[rows.clone()], &input.read[rows.clone()]);
         let sent = |candidate: usize| to_seconds(input.sent[rows.start + candidate]);
@@ -125,7 +125,12 @@ pub(super) struct SlotInputs<'a, T> {
     pub(super) ports: &'a [String],
     pub(super) inputs: &'a [InputRows],
     pub(super) selected: &'a [Selected<T>],
+    /// Where its stamps stand in the tables.
     pub(super) row: usize,
+    /// Places in histories: port after port, message after message.
+    pub(super) read: &'a [u32],
+    /// Where each port's places begin.
+    pub(super) offsets: &'a [usize],
     pub(super) histories: &'a [History<T>],
     pub(super) block: Cell<usize>,
 }
@@ -161,7 +166,7 @@ impl<T: Number> StepInputs<T> for SlotInputs<'_, T> {
             let first = (self.block.get() * selected.window + index) * selected.leaves;
             return &selected.values[first..first + selected.leaves];
         }
-        let place = input.read[self.row * input.candidates + index];
+        let place = self.read[self.offsets[port] + index];
         self.histories[input.from].message(self.block.get(), place)
     }
 }

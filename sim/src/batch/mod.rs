@@ -12,6 +12,7 @@ mod environments;
 mod group;
 mod inputs;
 mod number;
+mod schedule;
 
 use std::fmt;
 use std::sync::Arc;
@@ -27,6 +28,7 @@ use crate::compiled::CompiledGraph;
 pub use environments::{Environments, Given};
 use group::Group;
 use number::Number;
+use schedule::Schedule;
 
 /// Environments of one group: enough that looking into the tables costs little, few enough to stay in the first cache.
 const GROUP: usize = 64;
@@ -136,6 +138,10 @@ pub struct Batch<'a> {
     compiled: &'a CompiledGraph,
     nodes: Vec<BatchNode>,
     connections: Vec<String>,
+    /// One for each episode.
+    schedules: Vec<Schedule>,
+    /// Where each port's places begin among those that a step reads, `[slot][port]`.
+    offsets: Vec<Vec<usize>>,
     seed: u64,
 }
 
@@ -184,7 +190,9 @@ impl<'a> Batch<'a> {
             });
         }
         let connections = (0..graph.connections().len()).map(|index| graph.connection_name(index)).collect();
-        Ok(Self { compiled, nodes, connections, seed })
+        let schedules = (0..compiled.episodes).map(|episode| Schedule::new(compiled, episode)).collect();
+        let offsets = compiled.slots.iter().map(schedule::offsets).collect();
+        Ok(Self { compiled, nodes, connections, schedules, offsets, seed })
     }
 
     /// So many environments; change what should differ.
@@ -274,13 +282,13 @@ impl<'a> Batch<'a> {
         let mut states: Vec<Vec<f64>> =
             self.nodes.iter().map(|node| vec![0.0; count * node.state.len()]).collect();
         {
-            let mut kept: Vec<(usize, usize, Vec<Option<&mut [f64]>>)> = outputs
+            let mut kept: Vec<(usize, usize, RowsOf<'_>)> = outputs
                 .iter_mut()
                 .map(|kept| {
                     (kept.index, kept.leaves, rows_of(&mut kept.values, kept.steps * kept.leaves, count))
                 })
                 .collect();
-            let mut state: Vec<Vec<Option<&mut [f64]>>> = states
+            let mut state: Vec<RowsOf<'_>> = states
                 .iter_mut()
                 .zip(&self.nodes)
                 .map(|(values, node)| rows_of(values, node.state.len(), count))
@@ -336,8 +344,10 @@ impl<'a> Batch<'a> {
     }
 }
 
-/// One row for each environment.
-fn rows_of(values: &mut [f64], width: usize, count: usize) -> Vec<Option<&mut [f64]>> {
+/// One row for each environment, until it is taken.
+type RowsOf<'r> = Vec<Option<&'r mut [f64]>>;
+
+fn rows_of(values: &mut [f64], width: usize, count: usize) -> RowsOf<'_> {
     if width == 0 {
         return (0..count).map(|_| Some(&mut [][..])).collect();
     }
