@@ -228,6 +228,12 @@ fn what_cannot_be_shown_is_told() {
     refuse(&folder, &["delays", "run.mcap", "--plot", "run.mcap/x.html"], &["run.mcap"]);
     refuse(&folder, &["delays", "run.mcap", "-o", "."], &["."]);
 
+    // A file that lacks its end: what is there is shown, and that it is not all.
+    let bytes = fs::read(folder.path().join("run.mcap")).unwrap();
+    fs::write(folder.path().join("cut.mcap"), &bytes[..bytes.len() / 2]).unwrap();
+    let cut = parallax(&folder, &["graph", "cut.mcap"]);
+    assert!(cut.status.success() && String::from_utf8_lossy(&cut.stderr).contains("only the beginning"));
+
     fs::create_dir(folder.path().join("log")).unwrap();
     let manifest = "format = 1\ntitle = \"a\"\n[[signal]]\nname = \"u\"\nrole = \"command\"\nunit = \"N\"\n\
         file = \"log.csv\"\ntime = \"t\"\nvalue = \"u\"\n";

@@ -45,6 +45,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
             "{path} holds no whole step; record anew, or copy the file whole"
         )));
     }
+    if let Some(end) = &recording.truncated {
+        eprintln!("warning: {path} is only the beginning of a recording: {end}");
+    }
     if let Some(out) = &arguments.out {
         make_parent(out)?;
         let text = fitted.graph.to_toml().input()?;

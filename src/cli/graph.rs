@@ -91,6 +91,9 @@ impl Shown {
         let measured: (Vec<DelayFit>, Vec<Measured>) =
             measured.into_iter().filter_map(|measured| Some((delays::fit(&measured)?, measured))).unzip();
         let source = format!("{} s recorded in {}", to_seconds(recording.duration), path.display());
+        if let Some(end) = &recording.truncated {
+            eprintln!("warning: {} is only the beginning of a recording: {end}", path.display());
+        }
         let slots = supergraph::find(&graph, &episode);
         Ok(Self { graph, episode, measured: Some(measured), slots, source })
     }
@@ -127,6 +130,9 @@ fn draw(shown: &Shown, arguments: &Arguments, out: &Path) -> Result<(), Failure>
     let from = arguments.from.unwrap_or(from);
     let span = arguments.span.unwrap_or(span);
     let last = episode.nodes.iter().filter_map(|steps| steps.end.last()).copied().max().unwrap_or(0);
+    if episode.steps() == 0 {
+        return Err(Failure::input(anyhow!("{source}: there is no step to draw")));
+    }
     if from >= last.max(1) {
         return Err(Failure::input(anyhow!(
             "--from {} s lies behind the last step, which ended at {} s",
@@ -208,6 +214,7 @@ fn print(shown: &Shown) {
         output::table(&["connection", "policy", "window", "delay"], &rows);
     }
     match slots {
+        Ok(_) if episode.steps() == 0 => output::line("note: no supergraph: the schedule has no step"),
         Ok(slots) => supergraph::print(slots),
         Err(error) => output::line(format!("note: no supergraph: {error}")),
     }
