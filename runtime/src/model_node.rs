@@ -1,5 +1,5 @@
-//! Nodes whose mathematics is a [`NodeModel`](parallax_model::node_model::NodeModel): the same source runs here in
-//! real time, is compiled into graphs, and runs in batches.
+//! Nodes whose mathematics is a [`NodeModel`]: the same source runs here in real time, is compiled into graphs, and runs
+//! in batches.
 
 use std::fmt;
 use std::sync::Arc;
