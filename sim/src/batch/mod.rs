@@ -6,7 +6,33 @@
 //! threads. Results do not depend on the number of threads, nor on what else is in the batch.
 //!
 //! With [`Precision::Double`] each environment is computed on plain `f64`: a step has the bits that the node itself
-//! computes from the same state, inputs and noise. Lanes agree with that to 1e-12 for each step.
+//! computes from the same state, inputs and noise. Lanes agree with that to 1e-12 for each step. An episode that many
+//! environments share is fastest: a group runs at full speed when its episode has a multiple of 16 environments (32 in
+//! single precision), and best with 64.
+//!
+//! ```
+//! use parallax_sim::batch::{Batch, Given, Precision};
+//! use parallax_sim::compiled::{CompileOptions, compile};
+//! use parallax_sim::generate_many;
+//!
+//! let graph = parallax_nodes::pendulum::simulated().validate(&parallax_nodes::registry())?;
+//! let episodes = generate_many(&graph, 7, 1_000_000_000, 2)?;
+//! // The agent's actions are drawn beforehand.
+//! let options = CompileOptions { pinned: vec![graph.supervisor()], ..CompileOptions::default() };
+//! let compiled = compile(&graph, &episodes, &options)?;
+//!
+//! let batch = Batch::new(&graph, &compiled, 7)?;
+//! let masses: Vec<f64> = (0..32).map(|index| 0.05 + 0.001 * f64::from(index)).collect();
+//! let actions = vec![1.5; 32 * 50]; // V: 32 environments, 50 steps, one leaf
+//! let mut environments = batch.environments(32);
+//! environments
+//!     .set_param("world", "pendulum.mass", &masses)?
+//!     .give("agent", Given::PerEnvironment { steps: 50, values: &actions })?;
+//! let rollout = batch.rollout(&environments, Precision::DoubleLanes, &["world"])?;
+//! let world = &rollout.outputs[0];
+//! assert_ne!(world.message(0, 90), world.message(31, 90));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod environments;
 mod group;
