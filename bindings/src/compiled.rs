@@ -3,7 +3,8 @@
 use parallax_runtime::graph::Graph;
 use parallax_runtime::time::{from_seconds, to_seconds};
 use parallax_sim::compiled::{
-    CompileOptions, CompiledGraph, InputRows, Interpolation, Slot, TrainableConnection, compile,
+    CompileOptions, CompiledGraph, InputRows, Interpolation, OutputDelays, Slot, TrainableConnection,
+    compile,
 };
 use parallax_sim::supergraph::{Cut, Method, StartUp};
 use pyo3::prelude::*;
@@ -65,6 +66,7 @@ impl NativeGraph {
                     interpolation: if linear { Interpolation::Linear } else { Interpolation::Hold },
                 })
                 .collect(),
+            output_delays: OutputDelays::AsScheduled,
         };
         let compiled = py.detach(|| compile(&self.graph, &episodes.episodes, &options)).map_err(raise)?;
         Ok(NativeCompiled { graph: self.graph.clone(), compiled })

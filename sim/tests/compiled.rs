@@ -8,7 +8,8 @@ use std::ops::Range;
 
 use parallax_runtime::graph::Graph;
 use parallax_sim::compiled::{
-    CompileError, CompileOptions, CompiledGraph, InputRows, Interpolation, TrainableConnection, compile,
+    CompileError, CompileOptions, CompiledGraph, InputRows, Interpolation, OutputDelays, TrainableConnection,
+    compile,
 };
 use parallax_sim::supergraph::{Cut, Method, StartUp, SupergraphError};
 use parallax_sim::{Episode, generate_many};
@@ -124,6 +125,7 @@ fn options() -> impl Strategy<Value = CompileOptions> {
             pinned,
             stateful: Some(stateful),
             trainable: Vec::new(),
+            output_delays: OutputDelays::AsScheduled,
         },
     )
 }

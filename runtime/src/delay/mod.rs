@@ -4,12 +4,14 @@
 //! Gaussian fitted to small delays stays a Gaussian (van der Heijden et al., "REX", section 3.3).
 
 mod distribution;
+mod from_output;
 mod marginal;
 mod sampler;
 pub mod special;
 
 use serde::{Deserialize, Serialize};
 
+pub use from_output::DelayOfOutput;
 pub use sampler::DelaySampler;
 
 use crate::time::{Nanos, from_seconds};
@@ -94,7 +96,8 @@ pub enum Delay {
     },
     /// What a step found decides how long it took: `offset + scale × leaf`, kept within bounds, where `leaf` is one of
     /// the step's own output. Only a node's computation can be so: an object detector that needs a millisecond for
-    /// each object that it sees, or a node whose model says itself how long it computes.
+    /// each object that it sees, or a node whose model says itself how long it computes. A graph under the simulated
+    /// clock follows it, and so does a compiled graph that is told to decide at run time.
     Output {
         /// The leaf of the node's output.
         leaf: String,
@@ -253,6 +256,14 @@ impl Delay {
             Self::Output { leaf, .. } => Some(leaf),
             _ => None,
         }
+    }
+
+    /// The rule by which it follows from an output with these leaves; none where it does not, or where the leaf is not
+    /// there.
+    pub fn of_output(&self, leaves: &[String]) -> Option<DelayOfOutput> {
+        let Self::Output { leaf, offset, scale, min, max, .. } = self else { return None };
+        let leaf = leaves.iter().position(|name| name == leaf)?;
+        Some(DelayOfOutput { leaf, offset: *offset, scale: *scale, min: *min, max: *max })
     }
 
     /// The distribution ready for drawing. `leaves` names the leaves of the output that a step's delay may follow from;

@@ -2,9 +2,9 @@
 
 use rand_distr::{Distribution, Gamma, LogNormal, Normal, StandardNormal};
 
-use super::Delay;
 use super::distribution::{logarithm, shape_and_scale};
 use super::marginal::Marginal;
+use super::{Delay, DelayOfOutput};
 use crate::time::{Nanos, from_seconds};
 
 /// A [`Delay`] prepared for drawing many durations. Drawing does not allocate. It remembers the last draw where
@@ -34,13 +34,7 @@ enum Kind {
         last: Option<f64>,
         marginal: Marginal,
     },
-    Output {
-        leaf: usize,
-        offset: f64,
-        scale: f64,
-        min: f64,
-        max: f64,
-    },
+    Output(DelayOfOutput),
 }
 
 impl DelaySampler {
@@ -80,13 +74,8 @@ impl DelaySampler {
                     marginal,
                 },
             },
-            Delay::Output { leaf, offset, scale, min, max, .. } => {
-                match leaves.iter().position(|name| name == leaf) {
-                    Some(leaf) => Kind::Output { leaf, offset: *offset, scale: *scale, min: *min, max: *max },
-                    // A validated graph has the leaf.
-                    None => constant(),
-                }
-            }
+            // A validated graph has the leaf.
+            Delay::Output { .. } => delay.of_output(leaves).map_or_else(constant, Kind::Output),
         };
         Self { kind }
     }
@@ -123,10 +112,7 @@ impl DelaySampler {
                 *last = Some(z);
                 from_seconds(marginal.at(z))
             }
-            Kind::Output { leaf, offset, scale, min, max } => {
-                let seconds = *offset + *scale * output[*leaf];
-                from_seconds(if seconds.is_nan() { *max } else { seconds.clamp(*min, *max) })
-            }
+            Kind::Output(rule) => rule.nanos(output[rule.leaf]),
         }
     }
 }

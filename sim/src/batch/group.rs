@@ -180,6 +180,12 @@ impl<'a, T: Number> Group<'a, T> {
                     selected.select(input, row, entry.start, history, block, alphas);
                 }
             }
+            if input.from_output.is_some() {
+                let history = &self.histories[input.from];
+                for block in 0..self.blocks {
+                    selected.select_by_output(input, row, rows.start[row], history, block);
+                }
+            }
         }
         let node = &mut self.nodes[slot.node];
         node.draw(entry.seq);

@@ -1,9 +1,10 @@
-//! What a step of a block reads: histories at the places that the tables name, or what a trainable delay selects.
+//! What a step of a block reads: histories at the places that the tables name, or what a delay selects that is known only
+//! at run time.
 
 use std::cell::Cell;
 
 use parallax_model::node_model::StepInputs;
-use parallax_runtime::time::to_seconds;
+use parallax_runtime::time::{Nanos, to_seconds};
 
 use super::number::Number;
 use crate::compiled::{InputRows, Interpolation};
@@ -37,7 +38,7 @@ impl<T: Number> History<T> {
     }
 }
 
-/// The messages of a port with a trainable delay: they differ from environment to environment.
+/// The messages of a port whose delay is known only at run time: they differ from environment to environment.
 #[derive(Debug)]
 pub(super) struct Selected<T> {
     /// `[block][place in the window][leaf]`
@@ -49,9 +50,9 @@ pub(super) struct Selected<T> {
 }
 
 impl<T: Number> Selected<T> {
-    /// Room for what `input` reads from messages of so many leaves; none where its delay is not trainable.
+    /// Room for what `input` reads from messages of so many leaves; none where the tables say what is seen.
     pub(super) fn new(input: &InputRows, leaves: usize, blocks: usize) -> Self {
-        let window = if input.trainable.is_some() { input.window } else { 0 };
+        let window = if input.is_open() { input.window } else { 0 };
         let zero = T::constant(0.0);
         Self {
             values: vec![zero; blocks * window * leaves],
@@ -120,6 +121,41 @@ impl<T: Number> Selected<T> {
     }
 }
 
+impl<T: Number> Selected<T> {
+    /// Selects, for every environment of a block, the messages that a step at `start` (ns) sees, where their delays
+    /// follow from what the sender sent. Decided in whole nanoseconds, as by the executor.
+    pub(super) fn select_by_output(
+        &mut self,
+        input: &InputRows,
+        row: usize,
+        start: Nanos,
+        history: &History<T>,
+        block: usize,
+    ) {
+        let Some(delay) = &input.from_output else { return };
+        let first = row * input.candidates;
+        for lane in 0..T::LANES {
+            let message = |candidate: usize| history.message(block, input.read[first + candidate]);
+            let leaf = |candidate: usize| message(candidate)[delay.computation.leaf].get(lane);
+            let newest = delay.newest(input, row, start, leaf);
+            for index in 0..input.window {
+                let held = newest + 1 - input.window + index;
+                let seq = input.seq[first + held];
+                let sent = if seq < 0 { 0 } else { delay.sent(input.sent[first + held], leaf(held)) };
+                let received = if seq < 0 { 0 } else { delay.received(sent) };
+                let stamps = [f64::from(seq), to_seconds(sent), to_seconds(received)];
+                for (stamp, value) in self.stamps[block * self.window + index].iter_mut().zip(stamps) {
+                    stamp.set(lane, value);
+                }
+                let place = (block * self.window + index) * self.leaves;
+                for (to, from) in self.values[place..place + self.leaves].iter_mut().zip(message(held)) {
+                    to.set(lane, from.get(lane));
+                }
+            }
+        }
+    }
+}
+
 /// The inputs of one step of one block.
 pub(super) struct SlotInputs<'a, T> {
     pub(super) ports: &'a [String],
@@ -149,7 +185,7 @@ impl<T: Number> StepInputs<T> for SlotInputs<'_, T> {
     #[inline]
     fn stamp(&self, port: usize, index: usize) -> [T; 3] {
         let input = &self.inputs[port];
-        if input.trainable.is_some() {
+        if input.is_open() {
             let selected = &self.selected[port];
             return selected.stamps[self.block.get() * selected.window + index];
         }
@@ -161,7 +197,7 @@ impl<T: Number> StepInputs<T> for SlotInputs<'_, T> {
     #[inline]
     fn payload(&self, port: usize, index: usize) -> &[T] {
         let input = &self.inputs[port];
-        if input.trainable.is_some() {
+        if input.is_open() {
             let selected = &self.selected[port];
             let first = (self.block.get() * selected.window + index) * selected.leaves;
             return &selected.values[first..first + selected.leaves];

@@ -6,6 +6,8 @@ use parallax_runtime::graph::Graph;
 use parallax_runtime::time::Nanos;
 use rayon::prelude::*;
 
+use super::candidates::Reach;
+use super::from_output::{self, OutputDelay};
 use super::rings::{Lifetimes, Moment, NEVER};
 use super::rows::slot;
 use super::trainable::TrainableDelay;
@@ -21,8 +23,31 @@ pub(super) struct Edge {
     /// Messages in a row.
     pub(super) candidates: usize,
     pub(super) trainable: Option<TrainableDelay>,
+    pub(super) from_output: Option<OutputDelay>,
     /// Whether the receiver reads at all: its outputs are not given.
     pub(super) read: bool,
+}
+
+impl Edge {
+    /// Between which bounds the delay lies, where it is known only at run time.
+    fn reach(&self) -> Option<Reach> {
+        let trainable = self.trainable.map(|delay| delay.reach());
+        trainable.or_else(|| self.from_output.map(|delay| delay.reach()))
+    }
+
+    /// What the tables call sent: when the sender's steps end, or, where their outputs decide that, when they start.
+    fn sent<'e>(&self, episode: &'e Episode) -> &'e [Nanos] {
+        let steps = &episode.nodes[self.from];
+        if self.from_output.is_some() { &steps.start } else { &steps.end }
+    }
+
+    /// When a message counts as sent, and, if its delay is known only at run time, when it arrives at the earliest; 0 for
+    /// an initial message.
+    pub(super) fn times(&self, episode: &Episode, seq: i64) -> (Nanos, Option<Nanos>) {
+        let Ok(seq) = usize::try_from(seq) else { return (0, self.reach().map(|_| 0)) };
+        let sent = self.sent(episode)[seq];
+        (sent, self.reach().map(|reach| sent.saturating_add(reach.min)))
+    }
 }
 
 /// One episode on its way into the tables.
@@ -69,11 +94,10 @@ pub fn compile(
     check(graph, episodes, options)?;
     let mut edges = edges(graph, options);
     for edge in edges.iter_mut() {
-        if let Some(delay) = edge.trainable {
-            let most = episodes.par_iter().map(|episode| {
-                let (from, to) = (&episode.nodes[edge.from], &episode.nodes[edge.to]);
-                delay.most(&from.end, edge.window, &to.start)
-            });
+        if let Some(reach) = edge.reach() {
+            let most = episodes
+                .par_iter()
+                .map(|episode| reach.most(edge.sent(episode), edge.window, &episode.nodes[edge.to].start));
             edge.candidates = most.max().unwrap_or(edge.window);
         }
     }
@@ -178,6 +202,7 @@ fn check(graph: &Graph, episodes: &[Episode], options: &CompileOptions) -> Resul
     for (index, episode) in episodes.iter().enumerate() {
         episode.check(graph).map_err(|problem| CompileError::Episode { episode: index, problem })?;
     }
+    from_output::check(graph, episodes, options)?;
     let supervisor = graph.supervisor();
     if episodes.iter().all(|episode| episode.nodes[supervisor].is_empty()) {
         return Err(CompileError::NoSteps { node: graph.nodes()[supervisor].name.clone() });
@@ -200,6 +225,7 @@ fn edges(graph: &Graph, options: &CompileOptions) -> Vec<Edge> {
                 interpolation: trainable.interpolation,
                 skip: plan.skip,
             }),
+            from_output: from_output::of_connection(graph, options, index),
             read: plan.to == graph.supervisor() || !options.pinned.contains(&plan.to),
         }
     });
@@ -207,11 +233,11 @@ fn edges(graph: &Graph, options: &CompileOptions) -> Vec<Edge> {
 }
 
 fn numbers<'a>(episode: &'a Episode, index: usize, edge: &Edge) -> Cow<'a, [i64]> {
-    match edge.trainable {
+    match edge.reach() {
         None => Cow::Borrowed(&episode.connections[index].seq),
-        Some(delay) => {
-            let (from, to) = (&episode.nodes[edge.from], &episode.nodes[edge.to]);
-            Cow::Owned(delay.candidates(&from.end, edge.window, edge.candidates, &to.start))
+        Some(reach) => {
+            let starts = &episode.nodes[edge.to].start;
+            Cow::Owned(reach.candidates(edge.sent(episode), edge.window, edge.candidates, starts))
         }
     }
 }
@@ -326,9 +352,4 @@ fn place_messages(track: &mut Track<'_>, lives: &[Lifetimes], history: &[usize],
         }
         track.initial.push(initial);
     }
-}
-
-/// When a message was sent; 0 for an initial one.
-pub(super) fn sent(episode: &Episode, from: usize, seq: i64) -> Nanos {
-    usize::try_from(seq).map_or(0, |seq| episode.nodes[from].end[seq])
 }

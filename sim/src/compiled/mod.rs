@@ -6,13 +6,17 @@
 //! the senders' histories at the given places, makes the step, and writes the output into the node's own history at the
 //! given place. Nothing else is needed: the tables hold no rule of the schedule.
 //!
-//! Times in the tables are those of the episodes. A computation delay that follows from a step's output is therefore what
-//! it was in the recording, or what the graph expects in a generated episode; a connection's delay may be left open
-//! ([`TrainableDelay`]).
+//! Times in the tables are those of the episodes, but for delays that are left open. A connection's delay may be chosen at
+//! run time ([`TrainableDelay`]). A computation delay that follows from a step's output is what it was in the recording, or
+//! what the graph expects in a generated episode; with [`OutputDelays::AtRunTime`] it is what the output says that an
+//! executor of the tables computes ([`OutputDelay`]), as under the simulated clock. In both cases a row holds all messages
+//! that could be there, and the executor of the tables takes those that are.
 //!
 //! A [`CompiledGraph`] knows nothing of what the nodes compute: the native batch and JAX run the same tables.
 
 mod build;
+mod candidates;
+mod from_output;
 mod rings;
 mod rows;
 mod trainable;
@@ -22,6 +26,7 @@ use parallax_runtime::time::Nanos;
 use crate::supergraph::{Cut, Method, StartUp, Supergraph, SupergraphError};
 
 pub use build::compile;
+pub use from_output::{OutputDelay, OutputDelays};
 pub use trainable::{Interpolation, TrainableConnection, TrainableDelay};
 
 /// What to compile, and how.
@@ -44,6 +49,8 @@ pub struct CompileOptions {
     pub stateful: Option<Vec<bool>>,
     /// Connections whose delay is chosen at run time.
     pub trainable: Vec<TrainableConnection>,
+    /// Computation delays that follow from outputs: as in the episodes, or decided at run time.
+    pub output_delays: OutputDelays,
 }
 
 /// Why a graph and its episodes cannot be compiled.
@@ -87,6 +94,17 @@ pub enum CompileError {
     Trainable {
         /// Its place in the graph.
         connection: usize,
+        /// Why.
+        problem: String,
+    },
+    /// A delay that follows from an output cannot be decided at run time.
+    #[error(
+        "the computation delay of node `{node}` follows from its output and cannot be decided at run time: {problem}; \
+         compile it as it is scheduled"
+    )]
+    OutputDelay {
+        /// The node.
+        node: String,
         /// Why.
         problem: String,
     },
@@ -202,13 +220,14 @@ pub struct InputRows {
     pub from: usize,
     /// How many messages the step sees.
     pub window: usize,
-    /// How many messages stand in a row: `window`, or more where the delay is trainable.
+    /// How many messages stand in a row: `window`, or more where the delay is known only at run time.
     pub candidates: usize,
     /// The messages' numbers, −1 for an initial message.
     pub seq: Vec<i32>,
-    /// When they were sent, ns; 0 for an initial message.
+    /// When they were sent, ns; 0 for an initial message. Where the delay follows from the sender's output: when the
+    /// sender's step started.
     pub sent: Vec<Nanos>,
-    /// When they arrived, ns; 0 for an initial message. Where the delay is trainable: under its shortest delay.
+    /// When they arrived, ns; 0 for an initial message. Where the delay is known only at run time: under the shortest.
     pub received: Vec<Nanos>,
     /// Their places in the sender's history.
     pub read: Vec<u32>,
@@ -216,4 +235,14 @@ pub struct InputRows {
     pub constant_read: Vec<Option<u32>>,
     /// The delay, where it is chosen at run time.
     pub trainable: Option<TrainableDelay>,
+    /// The delay, where the sender's output decides it at run time. At most one of the two is there.
+    pub from_output: Option<OutputDelay>,
+}
+
+impl InputRows {
+    /// Whether a row holds more than the step sees: its delay is known only at run time.
+    #[inline]
+    pub fn is_open(&self) -> bool {
+        self.trainable.is_some() || self.from_output.is_some()
+    }
 }

@@ -1,6 +1,6 @@
 //! Writes the rows of one slot.
 
-use super::build::{Edge, Track, sent};
+use super::build::{Edge, Track};
 use super::{InputRows, Rows, Slot};
 
 /// The slot `index` of `slots`, in which `node` steps, along all episodes. `inputs` are the connections that it reads.
@@ -70,6 +70,7 @@ fn empty(connection: usize, edge: &Edge, room: usize) -> InputRows {
         read: Vec::with_capacity(room),
         constant_read: Vec::new(),
         trainable: edge.trainable,
+        from_output: edge.from_output,
     }
 }
 
@@ -84,14 +85,13 @@ fn push(rows: &mut Rows, track: &Track<'_>, node: usize, seq: usize, inputs: &[(
     for (rows, &(connection, edge)) in rows.inputs.iter_mut().zip(inputs) {
         let row = seq * edge.candidates..(seq + 1) * edge.candidates;
         for (offset, &number) in track.seen[connection][row.clone()].iter().enumerate() {
-            let sent = sent(track.episode, edge.from, number);
+            let (sent, earliest) = edge.times(track.episode, number);
             rows.seq.push(number as i32);
             rows.sent.push(sent);
-            rows.received.push(match edge.trainable {
-                Some(delay) if number >= 0 => sent.saturating_add(delay.min),
-                Some(_) => 0,
-                None => track.episode.connections[connection].received[row.start + offset],
-            });
+            rows.received.push(
+                earliest
+                    .unwrap_or_else(|| track.episode.connections[connection].received[row.start + offset]),
+            );
             rows.read.push(match usize::try_from(number) {
                 Ok(number) => track.place[edge.from][number],
                 Err(_) => track.initial[edge.from],
