@@ -3,8 +3,7 @@
 use parallax_runtime::graph::Graph;
 use parallax_runtime::time::{from_seconds, to_seconds};
 use parallax_sim::compiled::{
-    CompileOptions, CompiledGraph, InputRows, Interpolation, OutputDelays, Slot, TrainableConnection,
-    compile,
+    CompileOptions, CompiledGraph, InputRows, Interpolation, OutputDelays, Slot, TrainableConnection, compile,
 };
 use parallax_sim::supergraph::{Cut, Method, StartUp};
 use pyo3::prelude::*;
@@ -21,9 +20,10 @@ type Trainable = (usize, f64, f64, bool);
 #[pymethods]
 impl NativeGraph {
     /// Compiles the graph and its episodes. `keep` and `pinned` name nodes by place; `cut` is `balanced` or
-    /// `ancestors`; `method` is `mcs`, `topological` or `generational`.
+    /// `ancestors`; `method` is `mcs`, `topological` or `generational`; `at_run_time` says that computation delays
+    /// follow from the outputs that are computed then.
     #[allow(clippy::too_many_arguments, reason = "called from one place in Python, by keyword")]
-    #[pyo3(signature = (episodes, *, trainable, keep, pinned, cut, method, stateful))]
+    #[pyo3(signature = (episodes, *, trainable, keep, pinned, cut, method, stateful, at_run_time=false))]
     fn compile(
         &self,
         py: Python<'_>,
@@ -34,6 +34,7 @@ impl NativeGraph {
         cut: &str,
         method: &str,
         stateful: Vec<bool>,
+        at_run_time: bool,
     ) -> PyResult<NativeCompiled> {
         let options = CompileOptions {
             method: match method {
@@ -66,7 +67,7 @@ impl NativeGraph {
                     interpolation: if linear { Interpolation::Linear } else { Interpolation::Hold },
                 })
                 .collect(),
-            output_delays: OutputDelays::AsScheduled,
+            output_delays: if at_run_time { OutputDelays::AtRunTime } else { OutputDelays::AsScheduled },
         };
         let compiled = py.detach(|| compile(&self.graph, &episodes.episodes, &options)).map_err(raise)?;
         Ok(NativeCompiled { graph: self.graph.clone(), compiled })
@@ -84,11 +85,11 @@ pub(crate) struct NativeCompiled {
 impl NativeCompiled {
     /// The tables, `[episode, pass]`; times in ns.
     fn tables<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        tables(py, &self.compiled)
+        tables(py, &self.graph, &self.compiled)
     }
 }
 
-fn tables<'py>(py: Python<'py>, compiled: &CompiledGraph) -> PyResult<Bound<'py, PyDict>> {
+fn tables<'py>(py: Python<'py>, graph: &Graph, compiled: &CompiledGraph) -> PyResult<Bound<'py, PyDict>> {
     let result = PyDict::new(py);
     result.set_item("episodes", compiled.episodes)?;
     result.set_item("steps", compiled.steps)?;
@@ -102,13 +103,21 @@ fn tables<'py>(py: Python<'py>, compiled: &CompiledGraph) -> PyResult<Bound<'py,
         nodes.append(entry)?;
     }
     result.set_item("nodes", nodes)?;
-    let slots =
-        compiled.slots.iter().map(|slot| self::slot(py, compiled, slot)).collect::<PyResult<Vec<_>>>()?;
+    let slots = compiled
+        .slots
+        .iter()
+        .map(|slot| self::slot(py, graph, compiled, slot))
+        .collect::<PyResult<Vec<_>>>()?;
     result.set_item("slots", PyList::new(py, slots)?)?;
     Ok(result)
 }
 
-fn slot<'py>(py: Python<'py>, compiled: &CompiledGraph, slot: &Slot) -> PyResult<Bound<'py, PyDict>> {
+fn slot<'py>(
+    py: Python<'py>,
+    graph: &Graph,
+    compiled: &CompiledGraph,
+    slot: &Slot,
+) -> PyResult<Bound<'py, PyDict>> {
     let shape = [compiled.episodes, compiled.passes()];
     let rows = &slot.rows;
     let result = PyDict::new(py);
@@ -119,12 +128,18 @@ fn slot<'py>(py: Python<'py>, compiled: &CompiledGraph, slot: &Slot) -> PyResult
     result.set_item("due", array(py, rows.due.clone(), shape)?)?;
     result.set_item("start", array(py, rows.start.clone(), shape)?)?;
     result.set_item("write", array(py, rows.write.clone(), shape)?)?;
-    let inputs = rows.inputs.iter().map(|rows| input(py, compiled, rows)).collect::<PyResult<Vec<_>>>()?;
+    let inputs =
+        rows.inputs.iter().map(|rows| input(py, graph, compiled, rows)).collect::<PyResult<Vec<_>>>()?;
     result.set_item("inputs", PyList::new(py, inputs)?)?;
     Ok(result)
 }
 
-fn input<'py>(py: Python<'py>, compiled: &CompiledGraph, rows: &InputRows) -> PyResult<Bound<'py, PyDict>> {
+fn input<'py>(
+    py: Python<'py>,
+    graph: &Graph,
+    compiled: &CompiledGraph,
+    rows: &InputRows,
+) -> PyResult<Bound<'py, PyDict>> {
     let shape = [compiled.episodes, compiled.passes(), rows.candidates];
     let result = PyDict::new(py);
     result.set_item("connection", rows.connection)?;
@@ -140,5 +155,11 @@ fn input<'py>(py: Python<'py>, compiled: &CompiledGraph, rows: &InputRows) -> Py
         (to_seconds(delay.min), to_seconds(delay.max), if linear { "linear" } else { "hold" }, delay.skip)
     });
     result.set_item("trainable", trainable)?;
+    let from_output = rows.from_output.map(|delay| {
+        let rule = delay.computation;
+        let leaf = graph.nodes()[rows.from].kind.output().leaves[rule.leaf].clone();
+        (leaf, rule.offset, rule.scale, rule.min, rule.max, to_seconds(delay.travel), delay.skip)
+    });
+    result.set_item("from_output", from_output)?;
     Ok(result)
 }

@@ -24,6 +24,8 @@ type PythonKind = (String, Vec<(String, String, Vec<String>)>, (String, Vec<Stri
 #[pyclass(frozen, name = "Graph", module = "parallax._native")]
 pub(crate) struct NativeGraph {
     pub(crate) graph: Graph,
+    /// What nodes draw their starting values from: the recording's, or 0.
+    seed: u64,
 }
 
 #[pymethods]
@@ -35,21 +37,21 @@ impl NativeGraph {
             "toml" => GraphSpec::from_toml(text),
             _ => GraphSpec::from_json(text),
         };
-        Self::checked(&spec.map_err(raise)?, kinds)
+        Self::checked(&spec.map_err(raise)?, kinds, 0)
     }
 
     /// The graph that is attached to a recording.
     #[staticmethod]
     fn from_recording(py: Python<'_>, path: PathBuf, kinds: Vec<PythonKind>) -> PyResult<Self> {
         let recording = py.detach(|| Recording::read(&path)).map_err(raise)?;
-        Self::checked(&recording.graph, kinds)
+        Self::checked(&recording.graph, kinds, recording.clock.seed())
     }
 
     /// A graph that comes with Parallax.
     #[staticmethod]
     fn built_in(name: &str) -> PyResult<Self> {
         match parallax_nodes::graph(name) {
-            Some(spec) => Self::checked(&spec, Vec::new()),
+            Some(spec) => Self::checked(&spec, Vec::new(), 0),
             None => Err(raise(format!("there is no graph `{name}`; the graphs are: {}", GRAPHS.join(", ")))),
         }
     }
@@ -57,6 +59,11 @@ impl NativeGraph {
     /// The graph as JSON.
     fn json(&self) -> String {
         self.graph.spec().to_json()
+    }
+
+    /// The graph as the text of a `graph.toml`.
+    fn toml(&self) -> PyResult<String> {
+        self.graph.spec().to_toml().map_err(raise)
     }
 
     /// Index of the supervisor.
@@ -84,9 +91,9 @@ impl NativeGraph {
 }
 
 impl NativeGraph {
-    fn checked(spec: &GraphSpec, kinds: Vec<PythonKind>) -> PyResult<Self> {
+    fn checked(spec: &GraphSpec, kinds: Vec<PythonKind>, seed: u64) -> PyResult<Self> {
         let graph = spec.validate(&with_python(registry(), kinds)?).map_err(raise)?;
-        Ok(Self { graph })
+        Ok(Self { graph, seed })
     }
 
     fn node<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Bound<'py, PyDict>> {
@@ -122,7 +129,7 @@ impl NativeGraph {
             result.set_item("model", py.None())?;
             return Ok(result);
         };
-        let start = kind.start(&self.graph.context(index, 0)).map_err(raise)?;
+        let start = kind.start(&self.graph.context(index, self.seed)).map_err(raise)?;
         let model = PyDict::new(py);
         model.set_item("name", kind.model().name())?;
         model.set_item("params", kind.model().params())?;

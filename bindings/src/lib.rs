@@ -5,6 +5,7 @@
 //! Python exception that carries the same message.
 
 mod arrays;
+mod batch;
 mod compiled;
 mod episodes;
 mod error;

@@ -9,7 +9,7 @@ Times are seconds since the run's start, in SI units throughout, unless a name e
 
 from ._native import ParallaxError, __version__
 from .cache import use_compilation_cache
-from .compiled import CompiledGraph, GraphState, Observation
+from .compiled import CompiledGraph, GraphState, NativeRollout, Observation
 from .delays import TrainableDelay
 from .graph import Episodes, Graph
 from .model import Model, models
@@ -27,6 +27,7 @@ __all__ = [
     "Message",
     "Model",
     "ModelNode",
+    "NativeRollout",
     "Node",
     "NodeTrack",
     "Observation",

@@ -14,20 +14,21 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .delays import TrainableDelay, select_messages
+from .delays import OutputDelay, TrainableDelay, select_by_output, select_messages
 from .noise import normals, words
 from .nodes import Message, Node, Step, Window
 from .tables import Column, Row, TableBuilder, Tables
-from .types import Array, Scalar, Tree
+from .trees import flat, nested
+from .types import Array, Floats, Integers, Scalar, Tree
 
-__all__ = ["CompiledGraph", "GraphState", "Observation"]
+__all__ = ["CompiledGraph", "GraphState", "NativeRollout", "Observation"]
 
 SELECT = 8
 """Histories of at most this many messages are read and written by selection, larger ones by index."""
@@ -89,6 +90,7 @@ class _Input:
     stamps: dict[str, list[Column]]
     read: list[Column]
     trainable: TrainableDelay | None
+    from_output: OutputDelay | None
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,8 @@ class _NodeInfo:
     name: str
     node: Node
     history: int
+    leaves: tuple[Sequence[str], Sequence[str]]
+    """Of a Rust model's state and output."""
 
 
 @dataclass
@@ -119,6 +123,16 @@ class _Moment:
     history: dict[str, Any]
     key: Array
     noise: Mapping[str, Array]
+
+
+@dataclass(frozen=True)
+class NativeRollout:
+    """What a rollout without JAX gives, as trees of numpy arrays."""
+
+    outputs: dict[str, Tree]
+    """The outputs of the nodes kept, leaves `[environment, step]`; not a number where a step did not run."""
+    states: dict[str, Tree]
+    """Every node's state after the last step, leaves `[environment]`."""
 
 
 class CompiledGraph:
@@ -144,7 +158,7 @@ class CompiledGraph:
         self.source = compiled
         """The compiler's own tables, as numpy arrays."""
         self._nodes = [
-            _NodeInfo(name, node, entry["history"])
+            _NodeInfo(name, node, entry["history"], getattr(node, "leaves", ((), ())))
             for (name, node), entry in zip(nodes, compiled["nodes"], strict=True)
         ]
         self._connections = list(connections)
@@ -261,6 +275,49 @@ class CompiledGraph:
         episode = Tables(*(lax.dynamic_index_in_dim(table, state.episode, keepdims=False) for table in tables))
         rows = Tables(*(lax.dynamic_slice_in_dim(table, start, steps) for table in episode))
         return self._rollout(state, rows, record, pinned or {}, noise or {}, unroll)
+
+    def rollout_native(
+        self,
+        episodes: Sequence[int] | Integers,
+        *,
+        params: Mapping[str, Tree] | None = None,
+        states: Mapping[str, Tree] | None = None,
+        pinned: Mapping[str, Tree] | None = None,
+        seeds: Sequence[int] | None = None,
+        keep: Sequence[str] = (),
+        precision: Literal["double", "double lanes", "single lanes"] = "double lanes",
+    ) -> NativeRollout:
+        """Runs whole episodes without JAX, on the lanes and cores of this machine.
+
+        There is one environment for each entry of `episodes`. `params` (with `delays`) and `states` replace leaves, each
+        by one value or by `[environment]`; `pinned` gives the outputs of the nodes that were pinned when compiling,
+        `[environment, steps of the node]` a leaf. `seeds`, one for each environment, are those of the nodes' noise. The
+        outputs of the nodes in `keep` are returned, and every node's last state. All nodes must be Rust models.
+        """
+        if self._native is None:
+            raise ValueError("this graph was not compiled by `Graph.compile`")
+        count = len(episodes)
+        given = dict(params or {})
+        delays = given.pop("delays", {})
+        content = self._native.rollout(
+            episodes=[int(episode) for episode in episodes],
+            seeds=list(range(count)) if seeds is None else list(seeds),
+            params=_leaves(given, count),
+            states=_leaves(states or {}, count),
+            delays=[(name, _spread(alpha, count)) for name, alpha in delays.items()],
+            given=[(name, self._stacked(name, outputs)) for name, outputs in (pinned or {}).items()],
+            keep=list(keep),
+            precision=precision,
+        )
+        names = {info.name: info.leaves for info in self._nodes}
+        return NativeRollout(
+            {name: nested(names[name][1], list(np.moveaxis(v, -1, 0))) for name, v in content["outputs"].items()},
+            {name: nested(names[name][0], list(np.moveaxis(v, -1, 0))) for name, v in content["states"].items() if v.size},
+        )
+
+    def _stacked(self, name: str, outputs: Tree) -> Floats:
+        leaves = next(info.leaves[1] for info in self._nodes if info.name == name)
+        return np.stack([np.asarray(leaf, np.float64) for leaf in flat(leaves, outputs, f"outputs of `{name}`")], axis=-1)
 
     def _rollout(
         self,
@@ -393,7 +450,15 @@ class CompiledGraph:
         row = moment.row
         inputs: dict[str, Window] = {}
         for port in slot.inputs:
-            if port.trainable is None:
+            if port.from_output is not None:
+                messages = select_by_output(
+                    port.from_output,
+                    row[slot.times["start"]],
+                    port.window,
+                    {name: [row[column] for column in columns] for name, columns in port.stamps.items()},
+                    [partial(self._read, port.sender, column, moment) for column in port.read],
+                )
+            elif port.trainable is None:
                 messages = [
                     Message(
                         lambda name, port=port, i=i: row[port.stamps[name][i]],
@@ -450,7 +515,7 @@ class CompiledGraph:
         inputs = []
         for name, rows in zip(ports, slot["inputs"], strict=bool(slot["inputs"])):
             candidates = range(rows["candidates"])
-            trainable = rows["trainable"]
+            trainable, from_output = rows["trainable"], rows["from_output"]
             inputs.append(
                 _Input(
                     name,
@@ -464,6 +529,7 @@ class CompiledGraph:
                     },
                     [add.integers(rows["read"][..., i], run) for i in candidates],
                     None if trainable is None else TrainableDelay(*trainable),
+                    None if from_output is None else OutputDelay(*from_output),
                 )
             )
         return _Slot(
@@ -505,3 +571,16 @@ def _bytes(leaf: Any) -> int:
     if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
         leaf = jax.eval_shape(jax.random.key_data, leaf)
     return leaf.size * leaf.dtype.itemsize
+
+
+def _leaves(trees: Mapping[str, Tree], count: int) -> list[tuple[str, str, Floats]]:
+    """Node, leaf and one value for each environment."""
+    result = []
+    for node, tree in trees.items():
+        for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
+            result.append((node, ".".join(str(part.key) for part in path), _spread(leaf, count)))
+    return result
+
+
+def _spread(leaf: Any, count: int) -> Floats:
+    return np.ascontiguousarray(np.broadcast_to(np.asarray(leaf, np.float64), (count,)))

@@ -1,18 +1,22 @@
-"""Trainable delays: which messages a step sees follows from a number that gradients may move."""
+"""Delays that are known only at run time: chosen by a number that gradients may move, or by the sender's output."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 
 from .nodes import Message
+from .trees import flat
 from .types import Array, Scalar, Tree
 
-__all__ = ["TrainableDelay", "select_messages"]
+__all__ = ["OutputDelay", "TrainableDelay", "select_by_output", "select_messages"]
+
+NANOSECONDS = 1e9
 
 
 @dataclass(frozen=True)
@@ -33,7 +37,40 @@ class TrainableDelay:
         return self.min + jnp.clip(alpha, 0.0, 1.0) * (self.max - self.min)
 
 
-def _pick(arrived: Sequence[Array], choices: Sequence[Scalar], first: int) -> Scalar:
+@dataclass(frozen=True)
+class OutputDelay:
+    """The sender's step takes `offset + scale * leaf`, within bounds, and the message then travels for `travel`."""
+
+    leaf: str
+    """The leaf of the sender's output."""
+    offset: float
+    """Delay where the leaf is zero, s."""
+    scale: float
+    """Delay for each unit of the leaf, s."""
+    min: float
+    """The shortest, s."""
+    max: float
+    """The longest, s; also that of a leaf that is not a number."""
+    travel: float
+    """How long the message travels, s."""
+    skip: bool = False
+    """Whether a message that arrives exactly at the start is left for the next step."""
+
+    def seconds(self, message: Tree) -> Array:
+        """How long the step took that sent `message`, s: whole nanoseconds, as everywhere; the derivative is that
+        before rounding."""
+        (leaf,) = flat([self.leaf], message, "the output from which its node's delay follows")
+        exact = self.offset + self.scale * jnp.asarray(leaf, float)
+        exact = jnp.where(jnp.isnan(exact), self.max, jnp.clip(exact, self.min, self.max))
+        return exact + lax.stop_gradient(_nanoseconds(exact) / NANOSECONDS - exact)
+
+
+def _nanoseconds(seconds: Scalar) -> Array:
+    """Rounded to the nearest."""
+    return jnp.floor(jnp.asarray(seconds, float) * NANOSECONDS + 0.5)
+
+
+def _pick(arrived: Mapping[int, Array] | Sequence[Array], choices: Sequence[Scalar], first: int) -> Scalar:
     """`choices[count - first]`, where `count` is how many of the candidates, oldest first, have arrived."""
     result = choices[0]
     for place, choice in enumerate(choices[1:], start=first):
@@ -91,6 +128,58 @@ def select_messages(
         # Before the first message and after the last it holds; initial messages are not interpolated.
         share = jnp.where(jnp.asarray(stamp("seq", index)) < 0, 0.0, jnp.clip(share, 0.0, 1.0))
         return jax.tree.map(lambda a, b: a + share * (b - a), held, after)
+
+    return [
+        Message(lambda name, index=index: stamp(name, index), lambda index=index: payload(index))
+        for index in range(window)
+    ]
+
+
+def select_by_output(
+    delay: OutputDelay,
+    start: Scalar,
+    window: int,
+    stamps: dict[str, list[Scalar]],
+    payloads: Sequence[Callable[[], Tree]],
+) -> list[Message]:
+    """The window that a step at `start` (s) sees where the sender's outputs decide when they arrive.
+
+    As `select_messages`, but that `sent` holds when the sender's steps started. In double precision arrivals are
+    compared in whole nanoseconds, as the executor does: of the same outputs it sees the same messages, those included
+    that arrive exactly at the start. In single precision, times of some seconds are known to a microsecond, and so are
+    arrivals.
+    """
+    count = len(payloads)
+    travel = round(delay.travel * NANOSECONDS)
+
+    def has_arrived(place: int) -> Array:
+        took = _nanoseconds(delay.seconds(payloads[place]())) + travel
+        age = _nanoseconds(start - stamps["sent"][place])
+        on_time = took < age if delay.skip else took <= age
+        return jnp.asarray(on_time | (jnp.asarray(stamps["seq"][place]) < 0))
+
+    # As many as the window holds are there under the longest delay.
+    arrived = {place: has_arrived(place) for place in range(window, count)}
+
+    def sent(place: int) -> Scalar:
+        time = stamps["sent"][place] + delay.seconds(payloads[place]())
+        return jnp.where(jnp.asarray(stamps["seq"][place]) < 0, 0.0, time)
+
+    def received(place: int) -> Scalar:
+        return jnp.where(jnp.asarray(stamps["seq"][place]) < 0, 0.0, sent(place) + delay.travel)
+
+    known: dict[str, Callable[[int], Scalar]] = {
+        "seq": lambda place: stamps["seq"][place],
+        "sent": sent,
+        "received": received,
+    }
+
+    def stamp(name: str, index: int) -> Scalar:
+        return _pick(arrived, [known[name](index + offset) for offset in range(count - window + 1)], window)
+
+    def payload(index: int) -> Tree:
+        trees = [payloads[index + offset]() for offset in range(count - window + 1)]
+        return jax.tree.map(lambda *leaves: _pick(arrived, leaves, window), *trees)
 
     return [
         Message(lambda name, index=index: stamp(name, index), lambda index=index: payload(index))

@@ -57,6 +57,10 @@ class Graph:
         """What is probably not meant."""
         return list(self._native.warnings())
 
+    def toml(self) -> str:
+        """The graph as the text of a `graph.toml`, for the command line."""
+        return self._native.toml()
+
     def json(self) -> str:
         """The graph as text."""
         return self._native.json()
@@ -122,6 +126,7 @@ class Graph:
         pinned: Sequence[str] = (),
         partitioning: Literal["balanced", "ancestors"] = "balanced",
         method: Literal["mcs", "topological", "generational"] = "mcs",
+        output_delays: Literal["as scheduled", "at run time"] = "as scheduled",
     ) -> CompiledGraph:
         """The graph along these schedules, as pure functions.
 
@@ -130,7 +135,9 @@ class Graph:
         `"linear"` interpolation. Steps that no later step of the supervisor depends on are left out, unless their node is
         named in `keep`. The outputs of nodes in `pinned` will be given to the rollout: their steps need no inputs, and
         what only feeds them is left out. `partitioning` is `"balanced"`, or `"ancestors"` as in the paper; `method` says
-        how the slots are found: the minimum common supergraph, or one of the paper's baselines.
+        how the slots are found: the minimum common supergraph, or one of the paper's baselines. `output_delays` says
+        how long steps take whose delay follows from their output: as long as in the episodes (what was recorded, or what
+        the graph expects), or as long as the outputs say that are computed at run time.
         """
         given = dict(nodes or {})
         unknown = given.keys() - set(self.nodes)
@@ -164,6 +171,7 @@ class Graph:
             cut=partitioning,
             method=method,
             stateful=stateful,
+            at_run_time={"as scheduled": False, "at run time": True}[output_delays],
         )
         ports = [[port.name for port in self.ports(name)] for name in self.nodes]
         return CompiledGraph(compiled.tables(), bound, ports, self.connections, compiled)

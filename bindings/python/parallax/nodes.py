@@ -169,6 +169,8 @@ class ModelNode:
         self.ports = ports
         self._params, self._state, self._output = params, state, output
         self._states = len(state[0])
+        self.leaves = (state[0], output[0])
+        """The names of the leaves of its state and of its output."""
         # Where each input of the program comes from, in the order of the flat form.
         self._sources: list[tuple[Any, ...]] = [("params", i) for i in range(len(params[0]))]
         self._sources += [("state", i) for i in range(self._states)]
@@ -182,9 +184,13 @@ class ModelNode:
             raise ValueError(f"{program!r} does not fit its ports {[port.name for port in ports]}")
         self._leaves = {port.name: port.leaves for port in ports}
 
+    def params(self, values: Sequence[float] | Floats) -> Tree:
+        """Values of the parameters' leaves, as `Trajectory.params` holds them, in the tree that `init` takes."""
+        return nested(self._params[0], [jnp.asarray(value, float) for value in values])
+
     def init_params(self, key: Array) -> Tree:
         """Those of the graph."""
-        return nested(self._params[0], [jnp.asarray(value, float) for value in self._params[1]])
+        return self.params(self._params[1])
 
     def init_state(self, key: Array, params: Tree) -> Tree:
         """That of the graph."""
@@ -235,6 +241,8 @@ class PinnedNode:
 
     def __init__(self, output: tuple[list[str], Floats]) -> None:
         self._output = output
+        self.leaves: tuple[list[str], list[str]] = ([], output[0])
+        """The names of the leaves of its state and of its output."""
 
     def init_params(self, key: Array) -> Tree:
         """None."""
