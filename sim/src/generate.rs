@@ -10,8 +10,8 @@ use crate::episode::Episode;
 use crate::executor::{Executor, SimError};
 
 /// Draws the schedule of one run: bit for bit that of [`Executor`] with this seed, whatever the graph's policies. Only
-/// what follows from outputs cannot be known here: a computation delay that does is what the graph expects of it, and no
-/// node gives up.
+/// what follows from outputs cannot be known here: a computation delay that does is what the graph expects of it (tables
+/// compiled from the schedule may decide it [at run time](crate::compiled::OutputDelays)), and no node gives up.
 ///
 /// ```
 /// use parallax_runtime::graph::GraphSpec;

@@ -20,7 +20,10 @@ pub enum OutputDelays {
     /// When the episode says: as recorded, or, where the episode was generated, as the graph expects.
     #[default]
     AsScheduled,
-    /// When the output says that is computed at run time ([`OutputDelay`]).
+    /// When the output says that is computed at run time ([`OutputDelay`]), whatever the episode was drawn or recorded
+    /// with. Every step has to end, under the longest delay, by the time when the next of its node is due; its
+    /// receivers must not wait for its messages, have no jitter buffer, and be reached after a constant delay. Where the
+    /// shortest delay is the longest, nothing is left to be decided, and the times are the episode's.
     AtRunTime,
 }
 
