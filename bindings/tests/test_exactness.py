@@ -57,7 +57,9 @@ def rerun(graph, recording, path):
     """The compiled rollout along a recording with the recorded noise, and what the recorded models went through."""
     went = px.trajectories(path)
     compiled = graph.compile(graph.episodes(path), keep=graph.nodes)
-    state = compiled.init(jax.random.key(0), {name: graph.model(name).params(went[name].params) for name in graph.nodes})
+    state = compiled.init(
+        jax.random.key(0), {name: graph.model(name).params(went[name].params) for name in graph.nodes}
+    )
     noise = {name: jnp.asarray(node.noise) for name, node in went.items() if node.noise.shape[1]}
 
     def roll(state, noise, tables):
@@ -73,7 +75,9 @@ def steps_of(kept):
     order = np.argsort(seq, kind="stable")[np.sum(seq < 0) :]
 
     def picked(name):
-        return jax.tree.map(lambda *leaves: np.concatenate([np.asarray(leaf) for leaf in leaves])[order], *(s[name] for s in kept))
+        return jax.tree.map(
+            lambda *leaves: np.concatenate([np.asarray(leaf) for leaf in leaves])[order], *(s[name] for s in kept)
+        )
 
     return seq[order], picked("output"), picked("state")
 
@@ -114,7 +118,12 @@ def one_step(graph, path, recording):
             for index in range(port.window):
                 seq = consumed.seq[:steps, index]
                 payload = np.where(seq[:, None] < 0, sender.initial, sender.payload[np.maximum(seq, 0)])
-                columns += [seq.astype(float), consumed.sent[:steps, index], consumed.received[:steps, index], *payload.T]
+                columns += [
+                    seq.astype(float),
+                    consumed.sent[:steps, index],
+                    consumed.received[:steps, index],
+                    *payload.T,
+                ]
         ours = np.stack(jax.jit(model.program)(*map(jnp.asarray, columns)), axis=-1)
         theirs = np.concatenate([went[name].states[1:], went[name].outputs], axis=1)
         worst = max(worst, np.max(np.abs(ours - theirs) / (1 + np.abs(theirs))))
@@ -140,7 +149,7 @@ def test_real_time_replay_and_compiled_agree(name, tmp_path, parallax_cli):
     recording = px.load(path)
     assert recording.clock["clock"] == "wall"
     assert one_step(graph, path, recording) < 1e-12
-    went, _, kept = rerun(graph, recording, path)
+    _, _, kept = rerun(graph, recording, path)
     for node in graph.nodes:
         seq, output, _ = steps_of(kept[node])
         ours = np.stack(flat(recording[node].leaves, output, node), axis=-1)

@@ -31,10 +31,7 @@ OPERATIONS = (
     {name: program([{"unary": [name, 0]}], [2]) for name in UNARY}
     | {name: program([{"binary": [name, 0, 1]}], [2]) for name in BINARY}
     | {f"powi {n}": program([{"powi": [0, n]}], [2]) for n in (-2, 0, 1, 3, 7)}
-    | {
-        name: program([{"compare": [name, 0, 1]}, {"select": [2, 0, 1]}], [3])
-        for name in ("lt", "le", "eq")
-    }
+    | {name: program([{"compare": [name, 0, 1]}, {"select": [2, 0, 1]}], [3]) for name in ("lt", "le", "eq")}
     | {
         "masks": program(
             [
@@ -120,8 +117,13 @@ def test_loops_and_calls(x64):
         ],
         "outputs": [7, 7],
     }
-    square = {"name": "square", "inputs": 2, "ops": [{"binary": ["mul", 0, 0]}, {"binary": ["mul", 2, 1]}], "outputs": [3]}
-    for length in (0, 3, 400):
+    square = {
+        "name": "square",
+        "inputs": 2,
+        "ops": [{"binary": ["mul", 0, 0]}, {"binary": ["mul", 2, 1]}],
+        "outputs": [3],
+    }
+    for length in (0, 3, 90):
         ops = [
             {"scan": {"function": 0, "length": length, "carry": [0], "xs": [1] * length, "captures": [1]}},
             {"map": {"function": 1, "length": length, "xs": list(range(3, 3 + length)), "captures": [0]}},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import jax
@@ -21,7 +22,8 @@ def use_compilation_cache(folder: str | os.PathLike[str] | None = None, least_se
         folder = os.environ.get("PARALLAX_CACHE") or Path(user) / "parallax" / "jax"
     path = Path(folder).expanduser()
     path.mkdir(parents=True, exist_ok=True)
-    jax.config.update("jax_compilation_cache_dir", str(path))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", least_seconds)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    update: Callable[[str, object], None] = jax.config.update
+    update("jax_compilation_cache_dir", str(path))
+    update("jax_persistent_cache_min_compile_time_secs", least_seconds)
+    update("jax_persistent_cache_min_entry_size_bytes", -1)
     return path

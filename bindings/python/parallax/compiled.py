@@ -2,8 +2,8 @@
 
 `init`, `reset`, `step` and `rollout` work under `jit`, `vmap`, `grad` and `scan`. What they carry is small: every
 node's state, the last outputs that somebody still reads, a step counter, an episode index and a random key. When each
-node runs and what it consumes stands in `CompiledGraph.tables`, which is not carried: hand it to a jitted function as an
-argument (`tables=...`), so that it does not become a literal in the program.
+node runs and what it consumes stands in `CompiledGraph.tables`, which is not carried: hand it to a jitted function as
+an argument (`tables=...`), so that it does not become a literal in the program.
 
 One supervisor step is one pass through the *slots*: places that steps of the nodes fill, in an order in which every
 schedule can run them. A slot that no step fills in some pass leaves its node as it is.
@@ -22,8 +22,8 @@ import numpy as np
 from jax import lax
 
 from .delays import OutputDelay, TrainableDelay, select_by_output, select_messages
-from .noise import normals, words
 from .nodes import Message, Node, Step, Window
+from .noise import normals, words
 from .tables import Column, Row, TableBuilder, Tables
 from .trees import flat, nested
 from .types import Array, Floats, Integers, Scalar, Tree
@@ -61,9 +61,7 @@ class GraphState:
     """Every node's last outputs: a tuple of them, or, for long histories, one tree with a leading axis."""
 
 
-@partial(
-    jax.tree_util.register_dataclass, data_fields=["seq", "due", "start", "inputs"], meta_fields=[]
-)
+@partial(jax.tree_util.register_dataclass, data_fields=["seq", "due", "start", "inputs"], meta_fields=[])
 @dataclass(frozen=True)
 class Observation:
     """What the supervisor's step sees. Times are seconds since the run's start."""
@@ -289,10 +287,11 @@ class CompiledGraph:
     ) -> NativeRollout:
         """Runs whole episodes without JAX, on the lanes and cores of this machine.
 
-        There is one environment for each entry of `episodes`. `params` (with `delays`) and `states` replace leaves, each
-        by one value or by `[environment]`; `pinned` gives the outputs of the nodes that were pinned when compiling,
-        `[environment, steps of the node]` a leaf. `seeds`, one for each environment, are those of the nodes' noise. The
-        outputs of the nodes in `keep` are returned, and every node's last state. All nodes must be Rust models.
+        There is one environment for each entry of `episodes`. `params` (with `delays`) and `states` replace leaves,
+        each by one value or by `[environment]`; `pinned` gives the outputs of the nodes that were pinned when
+        compiling, `[environment, steps of the node]` a leaf. `seeds`, one for each environment, are those of the nodes'
+        noise. The outputs of the nodes in `keep` are returned, and every node's last state. All nodes must be Rust
+        models.
         """
         if self._native is None:
             raise ValueError("this graph was not compiled by `Graph.compile`")
@@ -312,12 +311,18 @@ class CompiledGraph:
         names = {info.name: info.leaves for info in self._nodes}
         return NativeRollout(
             {name: nested(names[name][1], list(np.moveaxis(v, -1, 0))) for name, v in content["outputs"].items()},
-            {name: nested(names[name][0], list(np.moveaxis(v, -1, 0))) for name, v in content["states"].items() if v.size},
+            {
+                name: nested(names[name][0], list(np.moveaxis(v, -1, 0)))
+                for name, v in content["states"].items()
+                if v.size
+            },
         )
 
     def _stacked(self, name: str, outputs: Tree) -> Floats:
         leaves = next(info.leaves[1] for info in self._nodes if info.name == name)
-        return np.stack([np.asarray(leaf, np.float64) for leaf in flat(leaves, outputs, f"outputs of `{name}`")], axis=-1)
+        return np.stack(
+            [np.asarray(leaf, np.float64) for leaf in flat(leaves, outputs, f"outputs of `{name}`")], axis=-1
+        )
 
     def _rollout(
         self,
@@ -342,7 +347,7 @@ class CompiledGraph:
             kept |= self._supervisor(moment, xs[1], names)
             carry = (moment.state, moment.history)
             if callable(record):
-                return carry, record(self._after(replace(state, step=xs[2]), moment))
+                return carry, record(self._after(replace(state, step=jnp.asarray(xs[2])), moment))
             return carry, {name: [kept[place] for place in sorted(kept) if self._name(place) == name] for name in names}
 
         # The counter follows from where the rollout begins, so that it need not be carried.
@@ -391,7 +396,7 @@ class CompiledGraph:
         before = moment.state[info.name]
         if output is None:
             after, output = info.node.step(moment.params[info.name], before, self._view(slot, moment))
-            if jax.tree.structure(after) != jax.tree.structure(before):
+            if not _alike(after, before):
                 raise TypeError(f"the step of node `{info.name}` returns a state of another structure than its first")
         else:
             after = before
@@ -416,7 +421,7 @@ class CompiledGraph:
         history = moment.history[info.name]
         place = moment.row[slot.write]
         example = history[0] if info.history <= SELECT else history
-        if jax.tree.structure(output) != jax.tree.structure(example):
+        if not _alike(output, example):
             raise TypeError(
                 f"the step of node `{info.name}` sends {jax.tree.structure(output)}, its first output is "
                 f"{jax.tree.structure(example)}"
@@ -461,8 +466,8 @@ class CompiledGraph:
             elif port.trainable is None:
                 messages = [
                     Message(
-                        lambda name, port=port, i=i: row[port.stamps[name][i]],
-                        lambda port=port, i=i: self._read(port.sender, port.read[i], moment),
+                        partial(_stamp, row, port, i),
+                        partial(self._read, port.sender, port.read[i], moment),
                     )
                     for i in range(port.window)
                 ]
@@ -505,7 +510,8 @@ class CompiledGraph:
             }
             for port, window in view.inputs.items()
         }
-        return Observation(*(jnp.asarray(value, float) for value in (view.seq, view.due, view.start)), inputs)
+        seq, due, start = (jnp.asarray(value, float) for value in (view.seq, view.due, view.start))
+        return Observation(seq, due, start, inputs)
 
     def _columns(self, slot: Mapping[str, Any], ports: Sequence[str]) -> _Slot:
         """A slot's part of the tables."""
@@ -535,10 +541,24 @@ class CompiledGraph:
         return _Slot(
             slot["node"],
             add.integers(np.ones_like(run) if slot["always"] else run, always),
-            {"seq": add.numbers(slot["seq"], run), "due": add.seconds(slot["due"], run), "start": add.seconds(slot["start"], run)},
+            {
+                "seq": add.numbers(slot["seq"], run),
+                "due": add.seconds(slot["due"], run),
+                "start": add.seconds(slot["start"], run),
+            },
             add.integers(slot["write"], run),
             inputs,
         )
+
+
+def _alike(one: Tree, other: Tree) -> bool:
+    """Whether two trees have the same structure."""
+    first: object = jax.tree.structure(one)
+    return bool(first == jax.tree.structure(other))
+
+
+def _stamp(row: Row, port: _Input, index: int, name: str) -> Scalar:
+    return row[port.stamps[name][index]]
 
 
 def _chosen(run: Array | None, new: Scalar, old: Array) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import jax
@@ -63,6 +64,10 @@ class OutputDelay:
         exact = self.offset + self.scale * jnp.asarray(leaf, float)
         exact = jnp.where(jnp.isnan(exact), self.max, jnp.clip(exact, self.min, self.max))
         return exact + lax.stop_gradient(_nanoseconds(exact) / NANOSECONDS - exact)
+
+
+def _swapped(function: Callable[[str, int], Scalar], index: int, name: str) -> Scalar:
+    return function(name, index)
 
 
 def _nanoseconds(seconds: Scalar) -> Array:
@@ -129,10 +134,7 @@ def select_messages(
         share = jnp.where(jnp.asarray(stamp("seq", index)) < 0, 0.0, jnp.clip(share, 0.0, 1.0))
         return jax.tree.map(lambda a, b: a + share * (b - a), held, after)
 
-    return [
-        Message(lambda name, index=index: stamp(name, index), lambda index=index: payload(index))
-        for index in range(window)
-    ]
+    return [Message(partial(_swapped, stamp, index), partial(payload, index)) for index in range(window)]
 
 
 def select_by_output(
@@ -181,7 +183,4 @@ def select_by_output(
         trees = [payloads[index + offset]() for offset in range(count - window + 1)]
         return jax.tree.map(lambda *leaves: _pick(arrived, leaves, window), *trees)
 
-    return [
-        Message(lambda name, index=index: stamp(name, index), lambda index=index: payload(index))
-        for index in range(window)
-    ]
+    return [Message(partial(_swapped, stamp, index), partial(payload, index)) for index in range(window)]

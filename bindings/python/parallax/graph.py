@@ -27,8 +27,8 @@ class Graph:
     """A graph that was checked.
 
     `text` is that of a `graph.toml`, a path to one, to a recording (`.mcap`), or the name of a graph that comes with
-    Parallax. Nodes whose kind the program does not know are written in Python: `Graph.compile` takes them by name. Their
-    inputs are what the graph connects to them; what they send is what their receivers in Rust expect.
+    Parallax. Nodes whose kind the program does not know are written in Python: `Graph.compile` takes them by name.
+    Their inputs are what the graph connects to them; what they send is what their receivers in Rust expect.
     """
 
     def __init__(self, source: str | os.PathLike[str] | Mapping[str, Any]) -> None:
@@ -130,14 +130,15 @@ class Graph:
     ) -> CompiledGraph:
         """The graph along these schedules, as pure functions.
 
-        `nodes` are written in JAX and take the place of the nodes of their names; all others run by their Rust models.
-        `trainable` makes connections' delays parameters between two bounds (s), by `"hold"` (the default) or
-        `"linear"` interpolation. Steps that no later step of the supervisor depends on are left out, unless their node is
-        named in `keep`. The outputs of nodes in `pinned` will be given to the rollout: their steps need no inputs, and
-        what only feeds them is left out. `partitioning` is `"balanced"`, or `"ancestors"` as in the paper; `method` says
-        how the slots are found: the minimum common supergraph, or one of the paper's baselines. `output_delays` says
-        how long steps take whose delay follows from their output: as long as in the episodes (what was recorded, or what
-        the graph expects), or as long as the outputs say that are computed at run time.
+        `nodes` are written in JAX and take the place of the nodes of their names; all others run by their Rust
+        models. `trainable` makes connections' delays parameters between two bounds (s), by `"hold"` (the
+        default) or `"linear"` interpolation. Steps that no later step of the supervisor depends on are left
+        out, unless their node is named in `keep`. The outputs of nodes in `pinned` will be given to the
+        rollout: their steps need no inputs, and what only feeds them is left out. `partitioning` is
+        `"balanced"`, or `"ancestors"` as in the paper; `method` says how the slots are found: the minimum
+        common supergraph, or one of the paper's baselines. `output_delays` says how long steps take whose delay
+        follows from their output: as long as in the episodes (what was recorded, or what the graph expects), or
+        as long as the outputs say that are computed at run time.
         """
         given = dict(nodes or {})
         unknown = given.keys() - set(self.nodes)

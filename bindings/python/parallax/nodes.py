@@ -90,7 +90,11 @@ class Step:
     """What a node's step sees. Times are seconds since the run's start."""
 
     def __init__(
-        self, times: Callable[[str], Scalar], inputs: dict[str, Window], key: Callable[[], Array], noise: Callable[[int], Sequence[Array]]
+        self,
+        times: Callable[[str], Scalar],
+        inputs: dict[str, Window],
+        key: Callable[[], Array],
+        noise: Callable[[int], Sequence[Array]],
     ) -> None:
         self._times = times
         self._key = key
@@ -225,7 +229,9 @@ class ModelNode:
                     values.append(getattr(step[port][index], stamp))
                 case ("leaf", port, index, leaf):
                     if (port, index) not in messages:
-                        messages[port, index] = flat(self._leaves[port], step[port][index].message, f"the message at `{port}`")
+                        messages[port, index] = flat(
+                            self._leaves[port], step[port][index].message, f"the message at `{port}`"
+                        )
                     values.append(messages[port, index][leaf])
         results = self.program(*values)
         return nested(self._state[0], results[: self._states]), nested(self._output[0], results[self._states :])

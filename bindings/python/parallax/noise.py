@@ -23,6 +23,7 @@ __all__ = ["normals", "words"]
 SALT = 0x70617261
 """Keeps streams apart from the numbers that they give."""
 
+
 def pcg4d(words: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
     """Four random words from four words, uint32."""
     x, y, z, w = (word * np.uint32(1664525) + np.uint32(1013904223) for word in words)

@@ -105,7 +105,9 @@ class Program:
         dtype = jnp.result_type(*arrays) if arrays else None
         if dtype is not None and not jnp.issubdtype(dtype, jnp.floating):
             dtype = jnp.result_type(float)
-        values = [float(v) if isinstance(v, float | int) else lax.convert_element_type(v, dtype) for v in values]
+        if dtype is not None:
+            values = [v if isinstance(v, float | int) else lax.convert_element_type(v, dtype) for v in values]
+        values = [float(v) if isinstance(v, int) else v for v in values]
         run = partial(self._run, wanted=wanted)
         axes = tuple(0 if np.ndim(value) else None for value in values)
         values = [jnp.broadcast_to(value, shape) if np.ndim(value) else value for value in values]
@@ -255,7 +257,9 @@ class _Machine:
                 case "select":
                     values.append(self.select(*(values[operand] for operand in op)))
                 case "call":
-                    values.extend(self.inner(guard).run(self.functions[op["function"]], [values[i] for i in op["inputs"]]))
+                    values.extend(
+                        self.inner(guard).run(self.functions[op["function"]], [values[i] for i in op["inputs"]])
+                    )
                 case "scan":
                     values.extend(self.inner(guard).scan(op, values))
                 case "map":
@@ -342,9 +346,11 @@ class _Machine:
             return [*carry, *ys]
         fixed = [capture if isinstance(capture, float) else self.number(capture) for capture in captures]
 
-        def body(carry: tuple[Array, ...], x: Array | None) -> tuple[tuple[Array, ...], Array | None]:
+        def body(carry: tuple[Array, ...], x: Any) -> tuple[tuple[Array, ...], Array | None]:
             xs = [] if x is None else [x[place] for place in range(x.shape[0])]
-            results = [jnp.asarray(self.number(value), self.dtype) for value in self.run(function, [*carry, *xs, *fixed])]
+            results = [
+                jnp.asarray(self.number(value), self.dtype) for value in self.run(function, [*carry, *xs, *fixed])
+            ]
             return tuple(results[:nc]), jnp.stack(results[nc:]) if len(results) > nc else None
 
         start = tuple(jnp.asarray(self.number(value), self.dtype) for value in carry)
@@ -365,7 +371,7 @@ class _Machine:
             return ys
         fixed = [capture if isinstance(capture, float) else self.number(capture) for capture in captures]
 
-        def body(x: Array) -> Array:
+        def body(x: Any) -> Array:
             results = self.run(function, [*(x[place] for place in range(nx)), *fixed])
             return jnp.stack([jnp.asarray(self.number(value), self.dtype) for value in results])
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +32,7 @@ def _with_slope(value: Callable[..., jax.Array], *slopes: Callable[..., jax.Arra
     function = jax.custom_jvp(value)
 
     @function.defjvp
-    def _jvp(primals, tangents):  # type: ignore[no-untyped-def]
+    def _jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
         result = function(*primals)
         total = None
         for slope, tangent in zip(slopes, tangents, strict=True):
