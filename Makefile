@@ -3,9 +3,9 @@
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: test format lint unit docs python clean
+.PHONY: test format lint unit docs package python clean
 
-test: format lint python unit docs
+test: format lint unit python docs
 
 # What reads our recordings as a stranger would, and what checks the Python files. The tests find it in .venv.
 $(VENV)/ready: tests/requirements.txt
@@ -25,9 +25,16 @@ unit: $(VENV)/ready
 docs:
 	RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps
 
-python: $(VENV)/ready
-	$(BIN)/ruff check tests
-	$(BIN)/ruff format --check tests
+# The package as `pip` builds it, but in the tests' profile: what cargo has built for them is not built again.
+package: $(VENV)/ready
+	MATURIN_PEP517_ARGS="--profile dev --strip" $(BIN)/pip install --quiet --disable-pip-version-check "./bindings[test]"
+
+python: package
+	$(BIN)/ruff check tests bindings
+	$(BIN)/ruff format --check tests bindings
+	$(BIN)/mypy --config-file bindings/pyproject.toml bindings/python/parallax
+	cargo build
+	$(BIN)/python -m pytest bindings/tests
 
 clean:
 	cargo clean

@@ -18,6 +18,7 @@ from .program import Program
 from .recording import NodeTrack, PortTrack, Recording, Trajectory, load, trajectories
 from .system import System
 from .tables import Tables
+from .xla import run_small_loops_whole
 
 __all__ = [
     "CompiledGraph",
@@ -48,3 +49,5 @@ __all__ = [
     "trajectories",
     "use_compilation_cache",
 ]
+
+run_small_loops_whole()

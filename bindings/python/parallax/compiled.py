@@ -266,6 +266,9 @@ class CompiledGraph:
         `pinned` gives nodes' outputs, `[steps, ...]`, instead of running them: the supervisor's by its steps, others'
         by their sequence numbers. `noise` gives nodes' standard normal numbers, `[steps of the node, count]`. Returns
         the last state and what was recorded, with a leading axis `[steps]`.
+
+        A batch is fastest by two nested `vmap`s, the outer over episodes and the inner over environments of one episode
+        (by sixteens), so that these share its schedule.
         """
         tables = self.tables if tables is None else tables
         steps = self.steps if steps is None else steps
@@ -353,8 +356,11 @@ class CompiledGraph:
         # The counter follows from where the rollout begins, so that it need not be carried.
         steps = rows.floats.shape[0]
         counts = state.step + 1 + jnp.arange(steps, dtype=jnp.int32) if callable(record) else None
+        # Column by column: what no node reads falls away, and on a CPU XLA runs a loop that touches little data as one
+        # function, several times faster.
+        columns = tuple(tuple(jnp.unstack(table, axis=1)) for table in rows)
         (node_state, history), kept = lax.scan(
-            body, (state.state, state.history), (rows, pinned.get(self.supervisor), counts), unroll=unroll
+            body, (state.state, state.history), (columns, pinned.get(self.supervisor), counts), unroll=unroll
         )
         return replace(state, step=state.step + steps, state=node_state, history=history), kept
 

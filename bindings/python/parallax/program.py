@@ -41,6 +41,17 @@ class _Element:
         return self.value
 
 
+@dataclass
+class _Reciprocal:
+    """`1 / of`. A product with it is written as a quotient: XLA fuses products into each of their users and computes
+    what comes before, sines included, again for every one; a quotient it computes once."""
+
+    of: Array
+
+    def take(self) -> Array:
+        return lax.div(np.asarray(1.0, self.of.dtype), self.of)
+
+
 class Program:
     """A computation with named inputs and outputs.
 
@@ -127,7 +138,8 @@ class Program:
         """On scalars of one dtype."""
         dtype = next((value.dtype for value in inputs if not isinstance(value, float)), None)
         machine = _Machine(self._functions, dtype)
-        return machine.run(self._functions[-1], list(inputs), tuple(wanted))
+        results = machine.run(self._functions[-1], list(inputs), tuple(wanted))
+        return [value if isinstance(value, float) else machine.number(value) for value in results]
 
 
 class _Function:
@@ -220,7 +232,7 @@ class _Machine:
 
     def number(self, value: Scalar) -> Array:
         """As a number of the common dtype."""
-        if isinstance(value, _Element):
+        if isinstance(value, _Element | _Reciprocal):
             return value.take()
         if isinstance(value, float):
             return np.asarray(value, self.dtype)  # type: ignore[return-value]
@@ -264,10 +276,7 @@ class _Machine:
                     values.extend(self.inner(guard).scan(op, values))
                 case "map":
                     values.extend(self.inner(guard).map(op, values))
-        return [self.output(values[function.outputs[place]]) for place in outputs]
-
-    def output(self, value: Scalar) -> Scalar:
-        return value
+        return [values[function.outputs[place]] for place in outputs]
 
     def inner(self, guard: bool) -> _Machine:
         return self if guard == self.guard else _Machine(self.functions, self.dtype, guard)
@@ -288,6 +297,12 @@ class _Machine:
             except (ValueError, OverflowError):
                 dtype = self.dtype or np.float64
                 return scalar.binary(name, guard)(np.asarray(a, dtype), np.asarray(b, dtype))  # type: ignore[arg-type]
+        if name == "div" and isinstance(a, float) and a == 1.0 and not guard:
+            return _Reciprocal(self.number(b))
+        if name == "mul" and isinstance(b, _Reciprocal) and not isinstance(a, _Reciprocal):
+            return lax.div(self.number(a), b.of)
+        if name == "mul" and isinstance(a, _Reciprocal) and not isinstance(b, _Reciprocal):
+            return lax.div(self.number(b), a.of)
         return scalar.binary(name, guard)(self.number(a), self.number(b))
 
     def powi(self, a: Scalar, exponent: int) -> Scalar:
