@@ -159,14 +159,21 @@ pub fn rotor_speed<T: Scalar>(p: &Params<T>, thrust: T) -> T {
 /// The rows of the rotation from the body's to the world's frame.
 #[inline(always)]
 pub fn rotation<T: Scalar>(a: &Attitude<T>) -> [[T; 3]; 3] {
-    let (sr, cr) = (a.roll.sin(), a.roll.cos());
-    let (sp, cp) = (a.pitch.sin(), a.pitch.cos());
-    let (sy, cy) = (a.yaw.sin(), a.yaw.cos());
+    // Calls of their own: with all six inside, the derivative would be too large to be inlined into a kernel.
+    let (sr, cr) = T::compiled(|| (a.roll.sin(), a.roll.cos()));
+    let (sp, cp) = T::compiled(|| (a.pitch.sin(), a.pitch.cos()));
+    let (sy, cy) = T::compiled(|| (a.yaw.sin(), a.yaw.cos()));
     [
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
         [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
         [-sp, cp * sr, cp * cr],
     ]
+}
+
+/// A function of its own, because a closure that is called several times stays a call, even in a kernel.
+#[inline(always)]
+fn dot<T: Scalar>(a: [T; 3], b: [T; 3]) -> T {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 /// The time derivative of the state.
@@ -176,14 +183,19 @@ pub fn derivative<T: Scalar>(p: &Params<T>, x: &State<T>, u: &Input<T>) -> State
     let speed = rotor_speed(p, thrust);
     let r = rotation(&x.attitude);
     let v = [x.velocity.x, x.velocity.y, x.velocity.z];
-    let body = |axis: usize| r[0][axis] * v[0] + r[1][axis] * v[1] + r[2][axis] * v[2];
+    // The columns of the rotation are the body's axes.
+    let body = [
+        dot([r[0][0], r[1][0], r[2][0]], v),
+        dot([r[0][1], r[1][1], r[2][1]], v),
+        dot([r[0][2], r[1][2], r[2][2]], v),
+    ];
     let force =
-        [-p.drag_xy * speed * body(0), -p.drag_xy * speed * body(1), thrust - p.drag_z * speed * body(2)];
-    let acceleration = |row: [T; 3]| (row[0] * force[0] + row[1] * force[1] + row[2] * force[2]) / p.mass;
+        [-p.drag_xy * speed * body[0], -p.drag_xy * speed * body[1], thrust - p.drag_z * speed * body[2]];
+    let acceleration = [dot(r[0], force) / p.mass, dot(r[1], force) / p.mass, dot(r[2], force) / p.mass];
     let attitude_rate = p.attitude_gain / p.attitude_time;
     State {
         position: x.velocity,
-        velocity: Vector { x: acceleration(r[0]), y: acceleration(r[1]), z: acceleration(r[2]) - GRAVITY },
+        velocity: Vector { x: acceleration[0], y: acceleration[1], z: acceleration[2] - GRAVITY },
         attitude: Attitude {
             roll: (u.roll - x.attitude.roll) * attitude_rate,
             pitch: (u.pitch - x.attitude.pitch) * attitude_rate,
