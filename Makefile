@@ -30,8 +30,8 @@ package: $(VENV)/ready
 	MATURIN_PEP517_ARGS="--profile dev --strip" $(BIN)/pip install --quiet --disable-pip-version-check "./bindings[test]"
 
 python: package
-	$(BIN)/ruff check tests bindings
-	$(BIN)/ruff format --check tests bindings
+	$(BIN)/ruff check tests bindings benches
+	$(BIN)/ruff format --check tests bindings benches
 	$(BIN)/mypy --config-file bindings/pyproject.toml bindings/python/parallax
 	cargo build
 	$(BIN)/python -m pytest bindings/tests

@@ -1,7 +1,7 @@
 """What the scripts of all peers share: the work, how it is timed, and how it is reported.
 
-Each script prints one JSON object a line on its standard output; `cargo bench --bench throughput` collects them. A script also
-runs alone: `VENV/bin/python benches/peers/NAME.py --envs 1,128 --dtype f32`.
+Each script prints one JSON object a line on its standard output; `cargo bench --bench throughput` collects them. A
+script also runs alone: `VENV/bin/python benches/peers/NAME.py --envs 1,128 --dtype f32`.
 
 Import this before jax: it pins the process to one core and tells XLA to use one thread, unless --device is gpu.
 """

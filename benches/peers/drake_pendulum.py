@@ -1,11 +1,12 @@
 """Drake: the pendulum in a diagram, with fixed steps, one run after the other.
 
-Drake has no Runge-Kutta method of fourth order with fixed steps: its third order is taken, which evaluates the equations three
-times a step instead of four. The equations are written in two ways, the actions come in two; all four are reported.
+Drake has no Runge-Kutta method of fourth order with fixed steps: its third order is taken, which evaluates the
+equations three times a step instead of four. The equations are written in two ways, the actions come in two; all four
+are reported.
 
 - `expressions`: a SymbolicVectorSystem of the very equations.
-- `plant`: Drake's PendulumPlant, whose torque is the voltage times K/R and whose damping is b + K^2/R. It has no Coulomb friction:
-  less work than the other peers do.
+- `plant`: Drake's PendulumPlant, whose torque is the voltage times K/R and whose damping is b + K^2/R. It has no
+  Coulomb friction: less work than the other peers do.
 - `drawn`: the drawn actions, held for a supervisor step each, as a TrajectorySource.
 - `source`: a RandomSource that draws an action every supervisor step: cheaper than looking a drawn one up.
 """
@@ -14,16 +15,16 @@ import common
 
 chosen = common.options(envs="1", dtypes="f64")
 
-from importlib.metadata import version  # noqa: E402
+from importlib.metadata import version
 
-import numpy as np  # noqa: E402
-from pydrake.common import RandomDistribution  # noqa: E402
-from pydrake.examples import PendulumParams, PendulumPlant  # noqa: E402
-from pydrake.symbolic import Variable, if_then_else, sin  # noqa: E402
-from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator  # noqa: E402
-from pydrake.systems.framework import DiagramBuilder  # noqa: E402
-from pydrake.systems.primitives import Gain, RandomSource, SymbolicVectorSystem, TrajectorySource  # noqa: E402
-from pydrake.trajectories import PiecewisePolynomial  # noqa: E402
+import numpy as np
+from pydrake.common import RandomDistribution
+from pydrake.examples import PendulumParams, PendulumPlant
+from pydrake.symbolic import Variable, if_then_else, sin
+from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import Gain, RandomSource, SymbolicVectorSystem, TrajectorySource
+from pydrake.trajectories import PiecewisePolynomial
 
 GRAVITY = 9.81
 P = {  # nodes/src/models/pendulum.rs
@@ -56,7 +57,7 @@ def expressions(builder):
 
 
 def plant(builder):
-    """PendulumPlant: its inertia is m l^2, so that all torques are scaled to the inertia that appendix C has of its own."""
+    """PendulumPlant: its inertia is m l^2, so that all torques are scaled to the inertia of appendix C."""
     gain = builder.AddSystem(Gain(P["motor"] / P["resistance"], 1))
     added = builder.AddSystem(PendulumPlant())
     builder.Connect(gain.get_output_port(), added.get_input_port())

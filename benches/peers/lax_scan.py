@@ -4,9 +4,9 @@ import common
 
 chosen = common.options(dtypes="f32,f64")
 
-import jax  # noqa: E402
+import jax
 
-import models  # noqa: E402
+import models
 
 
 def rollout(model, dt):
@@ -33,7 +33,7 @@ def main():
                 )
                 if envs == 1:  # a rank of its own would cost something
                     work = jax.tree_util.tree_map(lambda a: a[..., 0], work)
-                seconds = common.measure(lambda: jax.block_until_ready(run(*work)), chosen)  # noqa: B023
+                seconds = common.measure(lambda: jax.block_until_ready(run(*work)), chosen)
                 common.throughput(peer, f"{model.name}, bare", dtype, envs, common.STEPS, seconds)
 
 

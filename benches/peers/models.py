@@ -3,8 +3,9 @@
 A state, its parameters and an action are dictionaries of arrays, or of numbers under `vmap`.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -50,7 +51,7 @@ def rk4(f, p, x, u, dt):
     k2 = f(p, moved(k1, dt * 0.5), u)
     k3 = f(p, moved(k2, dt * 0.5), u)
     k4 = f(p, moved(k3, dt), u)
-    slopes = lambda a, b, c, d, e: a + (b + 2 * c + 2 * d + e) * (dt / 6)  # noqa: E731
+    slopes = lambda a, b, c, d, e: a + (b + 2 * c + 2 * d + e) * (dt / 6)
     return jax.tree_util.tree_map(slopes, x, k1, k2, k3, k4)
 
 

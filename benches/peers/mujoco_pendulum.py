@@ -1,8 +1,8 @@
 """MuJoCo: the pendulum as a hinge with a motor, Runge-Kutta of fourth order at 100 Hz, one run after the other.
 
-The torque is the voltage times K/R, the joint's damping is b + K^2/R, its Coulomb friction is c; contacts are off. The model is
-that of appendix C; MuJoCo solves for the friction as a constraint, which is more work than a sign is. The same model without
-friction is reported, too: the least that MuJoCo can do.
+The torque is the voltage times K/R, the joint's damping is b + K^2/R, its Coulomb friction is c; contacts are off.
+The model is that of appendix C; MuJoCo solves for the friction as a constraint, which is more work than a sign is.
+The same model without friction is reported, too: the least that MuJoCo can do.
 
 - `rollout`: mujoco.rollout, which takes the drawn actions and stays in C.
 """
@@ -11,9 +11,9 @@ import common
 
 chosen = common.options(dtypes="f64")
 
-import mujoco  # noqa: E402
-import numpy as np  # noqa: E402
-from mujoco import rollout  # noqa: E402
+import mujoco
+import numpy as np
+from mujoco import rollout
 
 P = {  # nodes/src/models/pendulum.rs
     "inertia": 1.6e-4,

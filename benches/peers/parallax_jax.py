@@ -12,11 +12,11 @@ import common
 
 chosen = common.options(dtypes="f32,f64")
 
-import jax  # noqa: E402
-import numpy as np  # noqa: E402
-import parallax as px  # noqa: E402
+import jax
+import numpy as np
+import parallax as px
 
-import models  # noqa: E402
+import models
 
 GRAPHS = Path(__file__).parent.parent / "throughput"
 KEY = 0
@@ -62,7 +62,7 @@ def schedules(envs):
 
 
 def work(graph, model, envs, number):
-    """Parameters and actions, [schedule][environment] and [step][schedule][environment]; of one environment, without."""
+    """Parameters, [schedule][environment], and actions, [step][schedule][environment]; of one environment, without."""
     shape = (schedules(envs), envs // schedules(envs)) if envs > 1 else ()
     start = graph.model("world").init_params(jax.random.key(KEY))
     drawn = model.parameters(envs, number)
@@ -109,13 +109,21 @@ def main():
                     detail=f"{generated - first:.2f} s until the graph is compiled",
                 )
                 _, short = compiled(model, 10, 1)
-                common.value(peer, f"{model.name}, state per environment of 10 s", short.state_bytes(), "B", detail=dtype)
+                common.value(
+                    peer, f"{model.name}, state per environment of 10 s", short.state_bytes(), "B", detail=dtype
+                )
             for envs in chosen.envs:
                 run = rollout(result, envs)
                 given = (*work(graph, model, envs, number), result.tables)
-                seconds = common.measure(lambda: jax.block_until_ready(run(*given)), chosen)  # noqa: B023
+                seconds = common.measure(lambda: jax.block_until_ready(run(*given)), chosen)
                 common.throughput(
-                    peer, f"{model.name}, graph with delays", dtype, envs, common.STEPS, seconds, episodes=schedules(envs)
+                    peer,
+                    f"{model.name}, graph with delays",
+                    dtype,
+                    envs,
+                    common.STEPS,
+                    seconds,
+                    episodes=schedules(envs),
                 )
 
 

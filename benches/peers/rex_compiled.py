@@ -8,15 +8,15 @@ import common
 
 chosen = common.options()
 
-import jax  # noqa: E402
-import jax.numpy as jnp  # noqa: E402
-import numpy as np  # noqa: E402
-from rex.artificial import generate_graphs  # noqa: E402
-from rex.constants import Supergraph  # noqa: E402
-from rex.graph import Graph  # noqa: E402
+import jax
+import jax.numpy as jnp
+import numpy as np
+from rex.artificial import generate_graphs
+from rex.constants import Supergraph
+from rex.graph import Graph
 
-import models  # noqa: E402
-import rex_nodes  # noqa: E402
+import models
+import rex_nodes
 
 
 def compiled(model, number, seconds):
@@ -100,7 +100,7 @@ def main():
                 actions = jax.device_put(actions)
                 for way, make in [("rollout", by_rollout), ("step", by_step)]:
                     run = make(graph)
-                    seconds = common.measure(lambda: jax.block_until_ready(run(states, actions)), chosen)  # noqa: B023
+                    seconds = common.measure(lambda: jax.block_until_ready(run(states, actions)), chosen)
                     common.throughput(
                         peer, f"{model.name}, graph with delays", dtype, envs, common.STEPS, seconds, way=way
                     )

@@ -101,7 +101,7 @@ def nodes(model, number):
     """The four nodes, connected; rates and delays are those of the other peers."""
     numbers = Numbers(number)
     first = dict.fromkeys(model.bounds, 0.0)
-    normal = lambda delay: Normal(loc=delay[0], scale=delay[1])  # noqa: E731
+    normal = lambda delay: Normal(loc=delay[0], scale=delay[1])
     world = World(name="world", rate=1 / common.STEP, model=model, numbers=numbers)
     sensor = Pass(
         name="sensor",
@@ -111,9 +111,7 @@ def nodes(model, number):
         first=model.start,
         numbers=numbers,
     )
-    agent = Agent(
-        name="agent", rate=common.RATE, delay_dist=normal(common.AGENT), first=first, numbers=numbers
-    )
+    agent = Agent(name="agent", rate=common.RATE, delay_dist=normal(common.AGENT), first=first, numbers=numbers)
     motor = Pass(
         name="motor",
         rate=common.RATE,

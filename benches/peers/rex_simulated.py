@@ -6,13 +6,13 @@ import common
 
 chosen = common.options(envs="1")
 
-import jax  # noqa: E402
-from rex.asynchronous import AsyncGraph  # noqa: E402
-from rex.constants import Clock, LogLevel, RealTimeFactor  # noqa: E402
-from rex.utils import set_log_level  # noqa: E402
+import jax
+from rex.asynchronous import AsyncGraph
+from rex.constants import Clock, LogLevel, RealTimeFactor
+from rex.utils import set_log_level
 
-import models  # noqa: E402
-import rex_nodes  # noqa: E402
+import models
+import rex_nodes
 
 STEPS = 100  # of the supervisor in one measurement: a full episode takes seconds
 
@@ -23,9 +23,7 @@ def main():
     model = models.PENDULUM
     nodes = rex_nodes.nodes(model, number)
     set_log_level(LogLevel.ERROR)
-    graph = AsyncGraph(
-        nodes, nodes["agent"], clock=Clock.SIMULATED, real_time_factor=RealTimeFactor.FAST_AS_POSSIBLE
-    )
+    graph = AsyncGraph(nodes, nodes["agent"], clock=Clock.SIMULATED, real_time_factor=RealTimeFactor.FAST_AS_POSSIBLE)
     actions = model.actions(1, number, common.STEPS + 2)
     params = {"agent": rex_nodes.Constants({k: v[:, 0] for k, v in actions.items()})}
     first = graph.init(jax.random.PRNGKey(0), params=params)

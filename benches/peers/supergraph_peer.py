@@ -19,12 +19,12 @@ def graph(episode, supervisor, held):
     """The episode as the peer wants it: vertices `NODE_SEQ` with their kind; a fixed cut if `held`."""
     found = nx.DiGraph()
     names = [f"{node}_{seq}" for node, seq, _, _ in episode["steps"]]
-    for name, (node, seq, start, _) in zip(names, episode["steps"]):
+    for name, (node, seq, start, _) in zip(names, episode["steps"], strict=True):
         found.add_node(name, kind=node, seq=seq, ts=start, order=node)
     found.add_edges_from(((names[a], names[b]) for a, b in episode["edges"]), **supergraph.EDGE_DATA)
     if held:
-        ends = {step[3]: name for name, step in zip(names, episode["steps"]) if step[0] == supervisor}
-        for name, step in zip(names, episode["steps"]):
+        ends = {step[3]: name for name, step in zip(names, episode["steps"], strict=True) if step[0] == supervisor}
+        for name, step in zip(names, episode["steps"], strict=True):
             if step[3] - 1 in ends:
                 found.add_edge(ends[step[3] - 1], name, **supergraph.EDGE_DATA)
     return found

@@ -197,7 +197,7 @@ impl NodeModel for Mix {
     fn step<T: Scalar>(_: &(), state: Value<T>, step: &NodeStep<'_, T>) -> (Value<T>, Value<T>) {
         let mut sum = state.value * 0.5 + 0.01;
         for name in PORTS {
-            sum = sum + step.latest::<Value<T>>(name).message.value * 0.09;
+            sum += step.latest::<Value<T>>(name).message.value * 0.09;
         }
         (Value { value: sum }, Value { value: sum })
     }

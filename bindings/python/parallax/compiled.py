@@ -344,7 +344,7 @@ class CompiledGraph:
         names = [] if record is None or callable(record) else list(record)
         params, key = state.params, state.key
 
-        def body(carry: tuple[Tree, ...], xs: tuple[Tables, Tree, Array | None]) -> tuple[tuple[Tree, ...], Tree]:
+        def body(carry: tuple[Tree, ...], xs: tuple[Tree, Tree, Array | None]) -> tuple[tuple[Tree, ...], Tree]:
             moment = _Moment(Row(*xs[0]), params, dict(carry[0]), dict(carry[1]), key, noise)
             kept = self._before_supervisor(moment, others, names)
             kept |= self._supervisor(moment, xs[1], names)

@@ -7,7 +7,7 @@ import os
 __all__ = ["run_small_loops_whole"]
 
 LOOP_BYTES = 200_000
-"""Loops whose steps touch less than this become one function: measured, up to five times faster for few environments."""
+"""Loops whose steps touch less than this become one function: up to five times faster for few environments."""
 
 
 def run_small_loops_whole() -> None:
