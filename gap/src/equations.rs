@@ -7,10 +7,11 @@
 use parallax_model::Dual;
 use parallax_model::effect::{Effect, PlaceKind, lag_step};
 use parallax_model::plant::Plant;
-use parallax_model::program::{Program, Workspace};
+use parallax_model::program::Program;
 
 use crate::experiment::Experiment;
 use crate::hypothesis::Slot;
+use crate::machine::{Machine, Stage};
 use crate::simulator::{Event, Prediction, Reading, Run, Simulator, Transition};
 
 /// Most states and fitted parameters together.
@@ -93,58 +94,6 @@ struct EquationsRun<'a, const N: usize> {
     current: Vec<u32>,
 }
 
-/// The programs' inputs (parameters, extra parameters, states, commands, time) and scratch space.
-struct Machine<const N: usize> {
-    inputs: Vec<Dual<N>>,
-    states: usize,
-    commands: usize,
-    workspace: Workspace<Dual<N>>,
-}
-
-impl<const N: usize> Machine<N> {
-    fn evaluate(&mut self, program: &Program, states: &[Dual<N>], time: Dual<N>, out: &mut [Dual<N>]) {
-        self.inputs[self.states..self.states + states.len()].copy_from_slice(states);
-        if let Some(last) = self.inputs.last_mut() {
-            *last = time;
-        }
-        program.evaluate(&self.inputs, &mut self.workspace, out);
-    }
-
-    /// One step of the classical fourth-order Runge–Kutta method (Hairer, Nørsett & Wanner, "Solving Ordinary
-    /// Differential Equations I", section II.1), with held commands.
-    fn runge_kutta(
-        &mut self,
-        program: &Program,
-        x: &mut [Dual<N>],
-        dt: Dual<N>,
-        time: Dual<N>,
-        stage: &mut Stage<N>,
-    ) {
-        let half = dt * 0.5;
-        let sixth = dt / 6.0;
-        stage.from.copy_from_slice(x);
-        stage.at.copy_from_slice(x);
-        for (fraction, weight) in [(None, 1.0), (Some(half), 2.0), (Some(half), 2.0), (Some(dt), 1.0)] {
-            if let Some(h) = fraction {
-                for ((at, from), k) in stage.at.iter_mut().zip(&stage.from).zip(&stage.slope) {
-                    *at = *from + *k * h;
-                }
-            }
-            self.evaluate(program, &stage.at, fraction.map_or(time, |h| time + h), &mut stage.slope);
-            for (x, k) in x.iter_mut().zip(&stage.slope) {
-                *x += *k * (sixth * weight);
-            }
-        }
-    }
-}
-
-/// Scratch space of an integration step.
-struct Stage<const N: usize> {
-    from: Vec<Dual<N>>,
-    at: Vec<Dual<N>>,
-    slope: Vec<Dual<N>>,
-}
-
 impl<'a, const N: usize> EquationsRun<'a, N> {
     fn new(simulator: &'a EquationsSimulator<'a>, theta: &[f64], variables: usize) -> Self {
         let n = simulator.states();
@@ -165,11 +114,7 @@ impl<'a, const N: usize> EquationsRun<'a, N> {
         }
         let inputs = simulator.experiment.inputs.len();
         let changes: Vec<Vec<Change<N>>> = (0..inputs).map(|i| changes(simulator, &extra, i)).collect();
-        let mut all = parameters;
-        all.extend_from_slice(&extra);
-        let states = all.len();
-        all.resize(states + n + inputs + 1, Dual::from_value(0.0));
-        let machine = Machine { inputs: all, states, commands: states + n, workspace: Workspace::new() };
+        let machine = Machine::new(&parameters, &extra, n, inputs);
         let mut run = EquationsRun {
             simulator,
             variables,
@@ -235,8 +180,8 @@ impl<'a, const N: usize> EquationsRun<'a, N> {
         let m = self.changes.len();
         for input in 0..m {
             let at = self.current[index * m + input] as usize;
-            self.machine.inputs[self.machine.commands + input] =
-                self.changes[input].get(at).map_or(Dual::from_value(0.0), |c| c.value);
+            let value = self.changes[input].get(at).map_or(Dual::from_value(0.0), |c| c.value);
+            self.machine.set_command(input, value);
         }
     }
 }
@@ -303,8 +248,7 @@ impl<const N: usize> Run for EquationsRun<'_, N> {
             // A rounding excess must not double the work of a step that just fits.
             let steps = (span.value / self.simulator.step - 1e-6).ceil().max(1.0);
             let dt = span / steps;
-            let zero = vec![Dual::from_value(0.0); n];
-            let mut stage = Stage { from: zero.clone(), at: zero.clone(), slope: zero };
+            let mut stage = Stage::new(n);
             for _ in 0..steps as usize {
                 self.machine.runge_kutta(&self.simulator.derivatives, &mut x, dt, time, &mut stage);
                 time += dt;
