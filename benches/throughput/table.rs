@@ -156,7 +156,7 @@ fn aims(text: &mut String, lines: &[Line]) {
             let rex = best(lines, "rex-lib", &graph, "f32", envs);
             let ours = best(lines, JAX, &graph, "f32", envs);
             let what =
-                format!("{case}, JAX, graph, f32, {envs} environments, over rex-lib on the better jax");
+                format!("{case}, JAX, graph, f32, environments: {envs}, over rex-lib on the better jax");
             aim(&what, true, 1.0, ratio(ours, rex), "");
         }
         let first = amount(lines, JAX, &format!("{case}, from graph to first rollout"));
