@@ -13,6 +13,7 @@ use crate::experiment::Experiment;
 use crate::hypothesis::{EffectAt, Slot};
 use crate::innovation::walk;
 use crate::library;
+use crate::maps;
 use crate::posterior::{self, Answer};
 use crate::quantify::{self, Row};
 use crate::report::{
@@ -293,6 +294,7 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
         gap: Gap { detected, p_value, score: rms(&refitted) },
         calibration: calibration(setup, shown),
         where_: places(&answers),
+        maps: if detected { maps::maps(setup, &null, options.seed) } else { Vec::new() },
         which: which(setup, &answers),
         unexplained,
         absorbed,

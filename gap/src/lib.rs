@@ -75,6 +75,7 @@ pub mod fit;
 pub mod hypothesis;
 pub mod innovation;
 pub mod library;
+pub mod maps;
 pub mod machine;
 pub mod noise;
 pub mod plot;

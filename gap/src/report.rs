@@ -4,6 +4,7 @@ mod answer;
 mod bars;
 mod format;
 pub mod html;
+mod maps;
 mod overlay;
 mod readings;
 pub mod sentence;
@@ -12,6 +13,7 @@ pub mod text;
 
 use serde::{Deserialize, Serialize};
 
+use crate::maps::Map;
 use crate::plot::{axis, draw};
 
 /// A whole diagnosis.
@@ -30,6 +32,9 @@ pub struct Report {
     /// Places by probability.
     #[serde(rename = "where")]
     pub where_: Vec<Where>,
+    /// Inside the plant: what the innovations of the refitted nominal model depend on.
+    #[serde(default)]
+    pub maps: Vec<Map>,
     /// Answers by probability; an empty effect list is "no gap".
     pub which: Vec<Which>,
     /// What no named effect explains.

@@ -4,7 +4,7 @@ use super::answer::{Answer, answers};
 use super::draw::{Pen, escape, typeset};
 use super::overlay;
 use super::readings::Readings;
-use super::{Confusable, Overlay, Report, bars, format};
+use super::{Confusable, Overlay, Report, bars, format, maps};
 use crate::plot::page;
 
 /// Answers less probable than this are listed by name only.
@@ -29,6 +29,7 @@ pub fn page(report: &Report, overlays: &[Overlay]) -> String {
         overlays_section(report, overlays),
         format!("<div class=\"pair\">{}{}</div>", which(&answers), where_(report)),
         how_far(report),
+        maps_section(report),
         calibration(report),
         unexplained(report),
         confusable(&report.confusable),
@@ -204,6 +205,14 @@ fn where_(report: &Report) -> String {
         content.push_str(&format!("<p class=\"note\">Also considered: {}.</p>\n", rest.join(", ")));
     }
     section("Where", "Share: how much of the gap the best effect there explains.", &content)
+}
+
+fn maps_section(report: &Report) -> String {
+    let note = "What the refitted nominal model gets wrong from one reading to the next, sorted by what may rule it. Bars: \
+                the mean innovation of each tenth of the readings, in standard deviations of the prediction, with two \
+                standard errors; by frequency: the energy of each band over that of white noise.";
+    maps::content(report)
+        .map_or_else(String::new, |content| section("Where inside the plant", note, &content))
 }
 
 fn how_far(report: &Report) -> String {

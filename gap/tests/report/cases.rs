@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use parallax_gap::maps::{Bin, Map};
 use parallax_gap::report::{
     Absorbed, Calibration, Confusable, FittedEffect, Gap, HowFar, Interval, NotTestable, Overlay, Report,
     Unexplained, Value, Where, Which,
@@ -28,6 +29,16 @@ fn interval(value: f64, low: f64, high: f64) -> Interval {
 fn calibration(name: &str, nominal: f64, value: f64, std: f64, unit: &str) -> Calibration {
     let significant = (value - nominal).abs() > 2.0 * std;
     Calibration { name: name.to_owned(), nominal, value, std, unit: unit.to_owned(), significant }
+}
+
+/// Ten parts whose means follow from their number.
+fn map(by: &str, unit: &str, p_value: f64, share: f64, mean: impl Fn(f64) -> f64) -> Map {
+    let bin = |k: u32| {
+        let k = f64::from(k);
+        Bin { low: k - 5.0, high: k - 4.0, count: 80, mean: mean(k), energy: 0.6 + 0.1 * k }
+    };
+    let bins = (0..10).map(bin).collect();
+    Map { output: "angle".to_owned(), by: by.to_owned(), unit: unit.to_owned(), bins, p_value, share }
 }
 
 /// A servo whose commands arrive late.
@@ -74,6 +85,11 @@ pub(crate) fn one_effect() -> Report {
                 1e-11,
             ),
         ],
+        maps: vec![
+            map("speed of joint:shaft", "", 0.005, 0.31, |k| (k - 4.5) / 9.0),
+            map("frequency", "Hz", 0.005, 0.12, |_| 0.0),
+            map("time", "s", 0.4, 0.01, |_| 0.01),
+        ],
         unexplained: Unexplained { probability: 0.01, share: 0.02 },
         absorbed: vec![Absorbed { effect: "viscous@joint:shaft".to_owned(), by: "b".to_owned() }],
         not_testable: vec![NotTestable {
@@ -107,6 +123,7 @@ pub(crate) fn no_gap() -> Report {
     report.which.retain(|which| which.effects.is_empty());
     report.which[0].probability = 0.96;
     report.where_.clear();
+    report.maps.clear();
     report.confusable.clear();
     report.unexplained = Unexplained { probability: 0.004, share: 0.0 };
     report.how_far = HowFar {
@@ -141,6 +158,7 @@ pub(crate) fn empty() -> Report {
         recordings: vec![],
         calibration: vec![],
         where_: vec![],
+        maps: vec![],
         which: vec![],
         absorbed: vec![],
         not_testable: vec![],
