@@ -1,18 +1,21 @@
-//! Equations as a [`Simulator`]: the plant of a hypothesis along the events of a recording, on dual numbers.
+//! Equations as a [`Simulator`]: the plant of a hypothesis along the events of a recording, on lanes.
 //!
 //! Between two events the commands are constant, and so is everything that depends on them alone. A delayed command
 //! changes, and a late reading is taken, at a time that carries its derivative by the delay: fractional delays are
 //! smooth, and no sample is interpolated.
 
+use std::sync::{Arc, OnceLock};
+
 use parallax_model::Dual;
 use parallax_model::effect::{Effect, PlaceKind, lag_step};
+use parallax_model::lanes::F64x16;
 use parallax_model::plant::Plant;
 use parallax_model::program::Program;
 
 use crate::experiment::Experiment;
 use crate::hypothesis::Slot;
-use crate::machine::{Machine, Stage};
-use crate::simulator::{Event, Prediction, Reading, Run, Simulator, Transition};
+use crate::machine::{Drive, Field, Layout, Machine};
+use crate::simulator::{At, Event, LANES, Motion, Reading, Run, Simulator};
 
 /// Most states and fitted parameters together.
 pub const MOST_VARIABLES: usize = 128;
@@ -24,8 +27,14 @@ pub struct EquationsSimulator<'a> {
     slots: Vec<Slot>,
     experiment: &'a Experiment,
     step: f64,
-    derivatives: Program,
-    outputs: Vec<Program>,
+    /// Entries of θ on which commands or the times of events depend.
+    timed: Vec<usize>,
+    /// With derivatives by θ.
+    full: Field,
+    /// With derivatives by the states alone; made when it is asked for.
+    plain: OnceLock<Field>,
+    /// The events where they do not depend on θ; made when they are asked for.
+    events: OnceLock<Arc<Table>>,
 }
 
 impl<'a> EquationsSimulator<'a> {
@@ -33,10 +42,85 @@ impl<'a> EquationsSimulator<'a> {
     /// integration step (s).
     #[must_use]
     pub fn new(plant: Plant, slots: Vec<Slot>, experiment: &'a Experiment, step: f64) -> Self {
-        let derivatives = plant.derivative_program();
-        let outputs = (0..experiment.wraps.len()).map(|output| plant.output_program(output)).collect();
-        EquationsSimulator { plant, slots, experiment, step, derivatives, outputs }
+        let timed: Vec<usize> = (0..slots.len())
+            .filter(|j| match slots[*j] {
+                Slot::Effect { effect, .. } => {
+                    !matches!(plant.effects()[effect].kind, PlaceKind::Joint | PlaceKind::State)
+                }
+                _ => false,
+            })
+            .collect();
+        let theta: Vec<Option<usize>> = {
+            let mut theta = vec![None; plant.equations().nominal().len() + plant.extra_parameters()];
+            for (j, slot) in slots.iter().enumerate() {
+                theta[position(&plant, slot)] = Some(j);
+            }
+            theta
+        };
+        let full = field(&plant, experiment, &theta, !timed.is_empty());
+        let (plain, events) = (OnceLock::new(), OnceLock::new());
+        EquationsSimulator { plant, slots, experiment, step, timed, full, plain, events }
     }
+
+    fn walk<'b>(&'b self, theta: &[f64], full: bool) -> Box<dyn Run + 'b> {
+        let mut parameters = self.plant.equations().nominal();
+        let first_extra = parameters.len();
+        parameters.resize(first_extra + self.plant.extra_parameters(), 0.0);
+        for (slot, value) in self.slots.iter().zip(theta) {
+            parameters[position(&self.plant, slot)] = *value;
+        }
+        let field = if full {
+            &self.full
+        } else {
+            self.plain
+                .get_or_init(|| field(&self.plant, self.experiment, &vec![None; parameters.len()], false))
+        };
+        let extra = &parameters[first_extra..];
+        let table = match self.timed.len() {
+            0 => Arc::clone(self.events.get_or_init(|| Arc::new(table::<0>(self, theta, extra)))),
+            _ if !full => Arc::new(table::<0>(self, theta, extra)),
+            1 => Arc::new(table::<1>(self, theta, extra)),
+            2 => Arc::new(table::<2>(self, theta, extra)),
+            3 | 4 => Arc::new(table::<4>(self, theta, extra)),
+            5..=8 => Arc::new(table::<8>(self, theta, extra)),
+            9..=16 => Arc::new(table::<16>(self, theta, extra)),
+            17..=32 => Arc::new(table::<32>(self, theta, extra)),
+            // [`MOST_VARIABLES`] is checked before any simulator is made.
+            _ => Arc::new(table::<MOST_VARIABLES>(self, theta, extra)),
+        };
+        let timed = if full { self.timed.clone() } else { Vec::new() };
+        Box::new(EquationsRun {
+            simulator: self,
+            variables: if full { self.slots.len() } else { 0 },
+            machine: Machine::new(field, &parameters),
+            drive: Drive::new(self.experiment.inputs.len(), timed),
+            table,
+            scratch: Vec::new(),
+        })
+    }
+}
+
+/// Where a slot is among the programs' parameters: those of the system, of effects, and the weights of residuals.
+fn position(plant: &Plant, slot: &Slot) -> usize {
+    let nominal = plant.equations().nominal().len();
+    match *slot {
+        Slot::Nominal(index) => index,
+        Slot::Effect { effect, parameter } => nominal + plant.effects()[effect].first + parameter,
+        Slot::Weight(index) => {
+            nominal + plant.effects().iter().map(|b| b.effect.parameters().len()).sum::<usize>() + index
+        }
+    }
+}
+
+fn field(plant: &Plant, experiment: &Experiment, theta: &[Option<usize>], driven: bool) -> Field {
+    let outputs: Vec<Program> =
+        (0..experiment.wraps.len()).map(|output| plant.output_program(output)).collect();
+    let layout = Layout {
+        parameters: theta.len(),
+        states: plant.equations().system().states.len(),
+        commands: experiment.inputs.len(),
+    };
+    Field::new(&plant.derivative_program(), &outputs, layout, theta, driven)
 }
 
 impl Simulator for EquationsSimulator<'_> {
@@ -49,27 +133,11 @@ impl Simulator for EquationsSimulator<'_> {
     }
 
     fn run<'a>(&'a self, theta: &[f64]) -> Box<dyn Run + 'a> {
-        self.walk(theta, self.slots.len())
+        self.walk(theta, true)
     }
 
     fn run_at<'a>(&'a self, theta: &[f64]) -> Box<dyn Run + 'a> {
-        self.walk(theta, 0)
-    }
-}
-
-impl EquationsSimulator<'_> {
-    /// A walk with derivatives by the first `variables` entries of θ.
-    fn walk<'a>(&'a self, theta: &[f64], variables: usize) -> Box<dyn Run + 'a> {
-        // The gradient has a fixed length; the next larger one is taken.
-        match self.states() + variables {
-            0..=4 => Box::new(EquationsRun::<4>::new(self, theta, variables)),
-            5..=8 => Box::new(EquationsRun::<8>::new(self, theta, variables)),
-            9..=16 => Box::new(EquationsRun::<16>::new(self, theta, variables)),
-            17..=40 => Box::new(EquationsRun::<40>::new(self, theta, variables)),
-            41..=64 => Box::new(EquationsRun::<64>::new(self, theta, variables)),
-            // [`MOST_VARIABLES`] is checked before any simulator is made.
-            _ => Box::new(EquationsRun::<MOST_VARIABLES>::new(self, theta, variables)),
-        }
+        self.walk(theta, false)
     }
 }
 
@@ -80,110 +148,87 @@ struct Change<const N: usize> {
     value: Dual<N>,
 }
 
-/// A walk with gradients of length `N`: states first, then θ.
-struct EquationsRun<'a, const N: usize> {
+/// Events and commands at given parameters, with derivatives by the entries of θ that they depend on.
+#[derive(Clone, Debug, Default)]
+struct Table {
+    events: Vec<Event>,
+    /// Derivatives of the events' times, events × timed.
+    times_by: Vec<f64>,
+    /// For each event and input, the index of the change that holds.
+    current: Vec<u32>,
+    /// For each input, the values of its changes.
+    values: Vec<Vec<f64>>,
+    /// For each input, their derivatives, changes × timed.
+    values_by: Vec<Vec<f64>>,
+}
+
+/// Puts changes and readings in the order of time; at equal times a command comes before a reading.
+fn table<const N: usize>(simulator: &EquationsSimulator<'_>, theta: &[f64], extra: &[f64]) -> Table {
+    let experiment = simulator.experiment;
+    let nominal = simulator.plant.equations().nominal().len();
+    let mut variables: Vec<Dual<N>> = extra.iter().copied().map(Dual::from_value).collect();
+    for (k, j) in simulator.timed.iter().enumerate().take(N) {
+        let at = position(&simulator.plant, &simulator.slots[*j]) - nominal;
+        variables[at] = Dual::variable(theta[*j], k);
+    }
+    let count = simulator.timed.len().min(N);
+    let extra = variables;
+    let inputs = experiment.inputs.len();
+    let changes: Vec<Vec<Change<N>>> = (0..inputs).map(|i| changes(simulator, &extra, i)).collect();
+    let late: Vec<Option<Dual<N>>> = (0..experiment.wraps.len())
+        .map(|output| find(&simulator.plant, &extra, Effect::Delay, PlaceKind::Output, output).map(|p| p[0]))
+        .collect();
+    enum What {
+        Change,
+        Reading(Reading),
+    }
+    let mut all: Vec<(Dual<N>, What)> =
+        Vec::with_capacity(experiment.samples.len() + changes.iter().map(Vec::len).sum::<usize>());
+    for channel in &changes {
+        all.extend(channel.iter().map(|c| (c.time, What::Change)));
+    }
+    for sample in &experiment.samples {
+        let stamp = Dual::from_value(sample.stamp);
+        let time = late[sample.output].map_or(stamp, |delay| stamp - delay);
+        let reading = Reading { output: sample.output, value: sample.value, stamp: sample.stamp };
+        all.push((time, What::Reading(reading)));
+    }
+    // The sort is stable, and changes were put in first.
+    all.sort_by(|a, b| a.0.value.total_cmp(&b.0.value));
+    let mut table = Table::default();
+    let mut current = vec![0_u32; inputs];
+    for (time, what) in all {
+        for (input, channel) in changes.iter().enumerate() {
+            let mut at = current[input] as usize;
+            while at + 1 < channel.len() && channel[at + 1].time.value <= time.value {
+                at += 1;
+            }
+            current[input] = at as u32;
+        }
+        table.current.extend_from_slice(&current);
+        let reading = match what {
+            What::Change => None,
+            What::Reading(reading) => Some(reading),
+        };
+        table.events.push(Event { time: time.value, reading });
+        table.times_by.extend_from_slice(&time.gradient[..count]);
+    }
+    for channel in &changes {
+        table.values.push(channel.iter().map(|c| c.value.value).collect());
+        table.values_by.push(channel.iter().flat_map(|c| c.value.gradient[..count].to_vec()).collect());
+    }
+    table
+}
+
+/// A walk on lanes.
+struct EquationsRun<'a> {
     simulator: &'a EquationsSimulator<'a>,
     /// How many entries of θ are variables.
     variables: usize,
-    extra: Vec<Dual<N>>,
-    machine: Machine<N>,
-    changes: Vec<Vec<Change<N>>>,
-    events: Vec<Event>,
-    times: Vec<Dual<N>>,
-    /// For each event and input, the index of the change that holds.
-    current: Vec<u32>,
-}
-
-impl<'a, const N: usize> EquationsRun<'a, N> {
-    fn new(simulator: &'a EquationsSimulator<'a>, theta: &[f64], variables: usize) -> Self {
-        let n = simulator.states();
-        let mut parameters: Vec<Dual<N>> =
-            simulator.plant.equations().nominal().into_iter().map(Dual::from_value).collect();
-        let mut extra = vec![Dual::from_value(0.0); simulator.plant.extra_parameters()];
-        let first_weight: usize = simulator.plant.effects().iter().map(|b| b.effect.parameters().len()).sum();
-        for (j, (slot, value)) in simulator.slots.iter().zip(theta).enumerate() {
-            let variable =
-                if j < variables { Dual::variable(*value, n + j) } else { Dual::from_value(*value) };
-            match *slot {
-                Slot::Nominal(index) => parameters[index] = variable,
-                Slot::Effect { effect, parameter } => {
-                    extra[simulator.plant.effects()[effect].first + parameter] = variable;
-                }
-                Slot::Weight(index) => extra[first_weight + index] = variable,
-            }
-        }
-        let inputs = simulator.experiment.inputs.len();
-        let changes: Vec<Vec<Change<N>>> = (0..inputs).map(|i| changes(simulator, &extra, i)).collect();
-        let machine = Machine::new(&parameters, &extra, n, inputs);
-        let mut run = EquationsRun {
-            simulator,
-            variables,
-            extra,
-            machine,
-            changes,
-            events: Vec::new(),
-            times: Vec::new(),
-            current: Vec::new(),
-        };
-        run.merge();
-        run
-    }
-
-    /// Puts changes and readings in the order of time; at equal times a command comes before a reading.
-    fn merge(&mut self) {
-        let experiment = self.simulator.experiment;
-        let late: Vec<Option<Dual<N>>> = (0..experiment.wraps.len())
-            .map(|output| self.effect(Effect::Delay, PlaceKind::Output, output).map(|p| p[0]))
-            .collect();
-        enum What {
-            Change,
-            Reading(Reading),
-        }
-        let mut all: Vec<(Dual<N>, What)> =
-            Vec::with_capacity(experiment.samples.len() + self.changes.iter().map(Vec::len).sum::<usize>());
-        for channel in &self.changes {
-            all.extend(channel.iter().map(|c| (c.time, What::Change)));
-        }
-        for sample in &experiment.samples {
-            let stamp = Dual::from_value(sample.stamp);
-            let time = late[sample.output].map_or(stamp, |delay| stamp - delay);
-            let reading = Reading { output: sample.output, value: sample.value, stamp: sample.stamp };
-            all.push((time, What::Reading(reading)));
-        }
-        // The sort is stable, and changes were put in first.
-        all.sort_by(|a, b| a.0.value.total_cmp(&b.0.value));
-        let m = self.changes.len();
-        let mut current = vec![0_u32; m];
-        for (time, what) in all {
-            for (input, channel) in self.changes.iter().enumerate() {
-                let mut at = current[input] as usize;
-                while at + 1 < channel.len() && channel[at + 1].time.value <= time.value {
-                    at += 1;
-                }
-                current[input] = at as u32;
-            }
-            self.current.extend_from_slice(&current);
-            let reading = match what {
-                What::Change => None,
-                What::Reading(reading) => Some(reading),
-            };
-            self.events.push(Event { time: time.value, reading });
-            self.times.push(time);
-        }
-    }
-
-    fn effect(&self, effect: Effect, kind: PlaceKind, index: usize) -> Option<&[Dual<N>]> {
-        find(&self.simulator.plant, &self.extra, effect, kind, index)
-    }
-
-    fn load_commands(&mut self, index: usize) {
-        let m = self.changes.len();
-        for input in 0..m {
-            let at = self.current[index * m + input] as usize;
-            let value = self.changes[input].get(at).map_or(Dual::from_value(0.0), |c| c.value);
-            self.machine.set_command(input, value);
-        }
-    }
+    machine: Machine<'a>,
+    drive: Drive,
+    table: Arc<Table>,
+    scratch: Vec<F64x16>,
 }
 
 fn find<'e, T>(
@@ -231,52 +276,93 @@ fn changes<const N: usize>(
     out
 }
 
-impl<const N: usize> Run for EquationsRun<'_, N> {
-    fn events(&self) -> &[Event] {
-        &self.events
-    }
-
-    fn advance(&mut self, index: usize, state: &mut [f64], transition: &mut Transition) {
-        let n = state.len();
-        let p = self.variables;
-        self.load_commands(index);
-        let mut time = self.times[index];
-        let span = self.times[index + 1] - time;
-        let mut x: Vec<Dual<N>> = state.iter().enumerate().map(|(i, v)| Dual::variable(*v, i)).collect();
-        let still = span.value == 0.0 && span.gradient.iter().all(|g| *g == 0.0);
-        if !still {
-            // A rounding excess must not double the work of a step that just fits.
-            let steps = (span.value / self.simulator.step - 1e-6).ceil().max(1.0);
-            let dt = span / steps;
-            let mut stage = Stage::new(n);
-            for _ in 0..steps as usize {
-                self.machine.runge_kutta(&self.simulator.derivatives, &mut x, dt, time, &mut stage);
-                time += dt;
+impl EquationsRun<'_> {
+    /// Commands and times as they are at the lanes' events.
+    fn load(&mut self, at: &At) {
+        let inputs = self.table.values.len();
+        let count = self.drive.timed.len();
+        for (lane, index) in at.iter().enumerate() {
+            let Some(index) = *index else { continue };
+            self.drive.time[lane] = self.table.events[index].time;
+            for k in 0..count {
+                self.drive.time_by[k][lane] = self.table.times_by[index * count + k];
+            }
+            for input in 0..inputs {
+                let change = self.table.current[index * inputs + input] as usize;
+                self.drive.commands[input][lane] =
+                    self.table.values[input].get(change).copied().unwrap_or(0.0);
+                for k in 0..count {
+                    self.drive.commands_by[input * count + k][lane] =
+                        self.table.values_by[input].get(change * count + k).copied().unwrap_or(0.0);
+                }
             }
         }
-        transition.by_state.clear();
-        transition.by_parameter.clear();
-        for (value, dual) in state.iter_mut().zip(&x) {
-            *value = dual.value;
-            transition.by_state.extend_from_slice(&dual.gradient[..n]);
-            transition.by_parameter.extend_from_slice(&dual.gradient[n..n + p]);
-        }
+    }
+}
+
+impl Run for EquationsRun<'_> {
+    fn events(&self) -> &[Event] {
+        &self.table.events
     }
 
-    fn observe(&mut self, index: usize, state: &[f64], prediction: &mut Prediction) {
-        let n = state.len();
-        let p = self.variables;
-        self.load_commands(index);
-        let x: Vec<Dual<N>> = state.iter().enumerate().map(|(i, v)| Dual::variable(*v, i)).collect();
-        let output = self.events[index].reading.map_or(0, |r| r.output);
-        let mut y = [Dual::from_value(0.0)];
-        self.machine.evaluate(&self.simulator.outputs[output], &x, self.times[index], &mut y);
-        let [y] = y;
-        prediction.value = y.value;
-        prediction.by_state.clear();
-        prediction.by_state.extend_from_slice(&y.gradient[..n]);
-        prediction.by_parameter.clear();
-        prediction.by_parameter.extend_from_slice(&y.gradient[n..n + p]);
+    fn parameters(&self) -> usize {
+        self.variables
+    }
+
+    fn advance_lanes(&mut self, at: &At, motion: &mut Motion) {
+        let count = self.drive.timed.len();
+        self.drive.step = F64x16::splat(0.0);
+        self.drive.step_by.fill(F64x16::splat(0.0));
+        let (mut longest, mut still) = (0.0_f64, true);
+        for (lane, index) in at.iter().enumerate() {
+            let Some(index) = *index else { continue };
+            let span = self.table.events[index + 1].time - self.table.events[index].time;
+            self.drive.step[lane] = span;
+            longest = longest.max(span);
+            still &= span == 0.0;
+            for k in 0..count {
+                let by =
+                    self.table.times_by[(index + 1) * count + k] - self.table.times_by[index * count + k];
+                self.drive.step_by[k][lane] = by;
+                still &= by == 0.0;
+            }
+        }
+        if still {
+            return;
+        }
+        self.load(at);
+        // A rounding excess must not double the work of a step that just fits.
+        let steps = (longest / self.simulator.step - 1e-6).ceil().max(1.0);
+        self.drive.steps = steps as usize;
+        self.drive.step = self.drive.step / steps;
+        for by in &mut self.drive.step_by {
+            *by = *by / steps;
+        }
+        self.machine.advance(&self.drive, motion);
+    }
+
+    fn observe_lanes(&mut self, at: &At, motion: &Motion, by: &mut Vec<F64x16>) -> F64x16 {
+        self.load(at);
+        let mut value = F64x16::splat(0.0);
+        let output = |events: &[Event], lane: usize| Some(events[at[lane]?].reading?.output);
+        let outputs: Vec<Option<usize>> = (0..LANES).map(|lane| output(&self.table.events, lane)).collect();
+        let mut seen: Vec<usize> = outputs.iter().flatten().copied().collect();
+        seen.sort_unstable();
+        seen.dedup();
+        for (k, output) in seen.iter().enumerate() {
+            if k == 0 {
+                value = self.machine.observe(*output, &self.drive, motion, by);
+                continue;
+            }
+            let other = self.machine.observe(*output, &self.drive, motion, &mut self.scratch);
+            for lane in (0..LANES).filter(|lane| outputs[*lane] == Some(*output)) {
+                value[lane] = other[lane];
+                for (to, from) in by.iter_mut().zip(&self.scratch) {
+                    to[lane] = from[lane];
+                }
+            }
+        }
+        value
     }
 
     fn wrap(&self, output: usize) -> Option<f64> {

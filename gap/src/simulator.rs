@@ -4,6 +4,8 @@
 //! along the events with exact derivatives. Equations ([`crate::equations`]) are one implementation; a simulator
 //! of another kind implements the same two calls, with finite differences where it has no derivatives.
 
+use parallax_model::lanes::F64x16;
+
 /// One thing that happens in a log, in the order of time: a command changes or a reading is taken.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Event {
@@ -56,16 +58,106 @@ pub struct Prediction {
     pub by_parameter: Vec<f64>,
 }
 
-/// A walk along a recording at fixed parameters.
+/// States on lanes, each lane a stretch of its own, with sensitivities.
+#[derive(Clone, Debug, Default)]
+pub struct Motion {
+    /// The states.
+    pub x: Vec<F64x16>,
+    /// Derivatives of the states by the seeds and θ, states × columns.
+    pub by: Vec<F64x16>,
+    /// How many columns come before those of θ: where a walk began, usually one per state.
+    pub seeds: usize,
+    /// How many columns there are.
+    pub columns: usize,
+}
+
+impl Motion {
+    /// States at rest at zero, with room for `seeds` and `parameters` columns.
+    #[must_use]
+    pub fn new(states: usize, seeds: usize, parameters: usize) -> Self {
+        let zero = F64x16::splat(0.0);
+        let columns = seeds + parameters;
+        Motion { x: vec![zero; states], by: vec![zero; states * columns], seeds, columns }
+    }
+
+    /// Makes the present states the seeds; derivatives by θ start from zero.
+    pub fn seed(&mut self) {
+        self.by.fill(F64x16::splat(0.0));
+        self.reseed();
+    }
+
+    /// Makes the present states the seeds; derivatives by θ stay.
+    pub fn reseed(&mut self) {
+        for (i, row) in self.by.chunks_mut(self.columns.max(1)).enumerate() {
+            for (j, entry) in row.iter_mut().take(self.seeds).enumerate() {
+                *entry = F64x16::splat(f64::from(u8::from(i == j)));
+            }
+        }
+    }
+}
+
+/// Which event each lane is at; a lane without one rests.
+pub type At = [Option<usize>; LANES];
+
+/// How many stretches are walked at once.
+pub const LANES: usize = F64x16::LANES;
+
+/// A walk along a recording at fixed parameters, on lanes.
 pub trait Run {
     /// All events in the order of time.
     fn events(&self) -> &[Event];
-    /// Takes `state` from event `index` to event `index + 1`.
-    fn advance(&mut self, index: usize, state: &mut [f64], transition: &mut Transition);
-    /// Predicts the reading of event `index`, which must be one, from the state there.
-    fn observe(&mut self, index: usize, state: &[f64], prediction: &mut Prediction);
+    /// How many parameters the walk gives derivatives by.
+    fn parameters(&self) -> usize;
+    /// Takes each lane from its event to the next one. What a resting lane holds afterwards is of no use.
+    fn advance_lanes(&mut self, at: &At, motion: &mut Motion);
+    /// Predicts the reading of each lane's event, which must be one, from its states: the value, and in `by` the
+    /// derivatives by seeds and θ.
+    fn observe_lanes(&mut self, at: &At, motion: &Motion, by: &mut Vec<F64x16>) -> F64x16;
     /// The period of an output that is an angle (2π in rad), if it wraps.
     fn wrap(&self, output: usize) -> Option<f64>;
+
+    /// Takes `state` from event `index` to event `index + 1`.
+    fn advance(&mut self, index: usize, state: &mut [f64], transition: &mut Transition) {
+        let (n, p) = (state.len(), self.parameters());
+        let mut motion = single(state, p);
+        self.advance_lanes(&only(index), &mut motion);
+        for (value, lanes) in state.iter_mut().zip(&motion.x) {
+            *value = lanes[0];
+        }
+        transition.by_state.clear();
+        transition.by_parameter.clear();
+        for row in motion.by.chunks((n + p).max(1)) {
+            transition.by_state.extend(row[..n].iter().map(|d| d[0]));
+            transition.by_parameter.extend(row[n..].iter().map(|d| d[0]));
+        }
+    }
+
+    /// Predicts the reading of event `index`, which must be one, from the state there.
+    fn observe(&mut self, index: usize, state: &[f64], prediction: &mut Prediction) {
+        let n = state.len();
+        let motion = single(state, self.parameters());
+        let mut by = Vec::new();
+        prediction.value = self.observe_lanes(&only(index), &motion, &mut by)[0];
+        prediction.by_state.clear();
+        prediction.by_state.extend(by[..n].iter().map(|d| d[0]));
+        prediction.by_parameter.clear();
+        prediction.by_parameter.extend(by[n..].iter().map(|d| d[0]));
+    }
+}
+
+fn single(state: &[f64], parameters: usize) -> Motion {
+    let mut motion = Motion::new(state.len(), state.len(), parameters);
+    for (lanes, value) in motion.x.iter_mut().zip(state) {
+        *lanes = F64x16::splat(*value);
+    }
+    motion.seed();
+    motion
+}
+
+fn only(index: usize) -> At {
+    let mut at = [None; LANES];
+    at[0] = Some(index);
+    at
 }
 
 /// `difference` brought into [−period/2, period/2).
