@@ -35,7 +35,7 @@ def options(envs="1,128,1024", dtypes="f32"):
     if chosen.device == "cpu":
         if hasattr(os, "sched_setaffinity"):
             os.sched_setaffinity(0, {chosen.core})
-        os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+        os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false"
         os.environ["JAX_PLATFORMS"] = "cpu"
         for variable in ["OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"]:
             os.environ[variable] = "1"

@@ -20,4 +20,5 @@ def run_small_loops_whole() -> None:
     flags = os.environ.get("XLA_FLAGS", "")
     if "xla_backend_extra_options" not in flags:
         option = f"--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold={LOOP_BYTES}"
-        os.environ["XLA_FLAGS"] = f"{flags} {option}".strip()
+        # First: XLA reads no further than a word that it does not know.
+        os.environ["XLA_FLAGS"] = f"{option} {flags}".strip()
