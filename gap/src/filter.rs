@@ -6,7 +6,15 @@
 //! models"). Derivatives of the innovations hold the gain fixed: the recursion of the prediction-error method
 //! (Ljung, "System Identification", section 11.3).
 
-use crate::simulator::{Prediction, Run, Transition, wrapped};
+//!
+//! Stretches of the log are walked side by side, one on each lane. What is computed on lanes is in [`lanes`].
+
+mod lanes;
+
+use parallax_model::lanes::{F64x16, Level};
+
+use crate::simulator::{At, LANES, Motion, Run, wrapped};
+use lanes::{CostAt, Covariance, Read};
 
 /// Noise intensities.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,20 +25,22 @@ pub struct Noise {
     pub log_output: Vec<f64>,
 }
 
-/// What is known of the state before the first reading of a segment.
+/// A stretch to walk, and what is known of the state before its first reading.
 #[derive(Clone, Debug)]
 pub struct Start {
-    /// Index of the first event of the segment.
+    /// Index of the first event of the stretch.
     pub first: usize,
-    /// Index after the last event of the segment.
+    /// Index after the last event of the stretch.
     pub end: usize,
+    /// Stamp of the first reading that counts (s); earlier ones only tell the state.
+    pub counts_from: f64,
     /// The state guessed at the first event.
     pub state: Vec<f64>,
     /// Its standard deviation; large where nothing is known.
     pub std: Vec<f64>,
 }
 
-/// The walk of a filter along a log, linearised.
+/// The walk of a filter along a log, linearised. Readings are in the order of the stretches.
 #[derive(Clone, Debug, Default)]
 pub struct Pass {
     states: usize,
@@ -49,91 +59,29 @@ pub struct Pass {
     pub event: Vec<usize>,
     /// State after each reading, readings × states.
     pub state: Vec<f64>,
-    tape: Vec<Tape>,
-    by_state: Vec<f64>,
-    output_by_state: Vec<f64>,
-    gain: Vec<f64>,
-    start_variance: Vec<f64>,
+    tapes: Vec<Tape>,
 }
 
-/// The steps of a pass, kept to evaluate other noise intensities without the model.
-#[derive(Clone, Copy, Debug)]
-enum Tape {
-    Begin(usize),
-    Advance { dt: f64, by_state: usize },
-    Read(usize),
+/// The steps of as many stretches as there are lanes, kept to evaluate other noise intensities without the model.
+#[derive(Clone, Debug, Default)]
+struct Tape {
+    ticks: Vec<Tick>,
+    start_variance: Vec<F64x16>,
+    /// Transitions, states × states each; gradients of readings and gains, one per state each.
+    numbers: Vec<F64x16>,
 }
 
-/// Scratch space of the covariance recursion.
-struct Covariance {
-    n: usize,
-    p: Vec<f64>,
-    scratch: Vec<f64>,
-    half: Vec<f64>,
+/// One step of a tape; offsets point into its numbers.
+#[derive(Clone, Debug)]
+enum Tick {
+    Advance { dt: F64x16, by_state: usize },
+    Read { by_state: usize, gain: usize, innovation: F64x16, output: [u8; LANES], counts: F64x16 },
 }
 
-impl Covariance {
-    fn new(n: usize) -> Self {
-        Covariance { n, p: vec![0.0; n * n], scratch: vec![0.0; n * n], half: vec![0.0; n * n] }
-    }
+/// A lane that reads nothing.
+const NOTHING: u8 = u8::MAX;
 
-    fn reset(&mut self, variance: &[f64]) {
-        self.p.fill(0.0);
-        for (i, v) in variance.iter().enumerate() {
-            self.p[i * self.n + i] = *v;
-        }
-    }
-
-    /// P ← Φ P Φᵀ + dt (Φ_½ B Φ_½ᵀ), with Φ_½ = (I + Φ)/2: the noise enters, on average, in the middle of the step.
-    fn advance(&mut self, phi: &[f64], dt: f64, intensity: &[f64]) {
-        let n = self.n;
-        for i in 0..n {
-            for j in 0..n {
-                self.scratch[i * n + j] = (0..n).map(|k| phi[i * n + k] * self.p[k * n + j]).sum();
-                self.half[i * n + j] = 0.5 * (phi[i * n + j] + f64::from(u8::from(i == j)));
-            }
-        }
-        for i in 0..n {
-            for j in 0..=i {
-                let propagated: f64 = (0..n).map(|k| self.scratch[i * n + k] * phi[j * n + k]).sum();
-                let added: f64 =
-                    (0..n).map(|k| self.half[i * n + k] * intensity[k] * self.half[j * n + k]).sum();
-                let value = propagated + dt * added;
-                self.p[i * n + j] = value;
-                self.p[j * n + i] = value;
-            }
-        }
-    }
-
-    /// Variance of the innovation of a reading with gradient `h`, writing the gain.
-    fn innovate(&self, h: &[f64], noise: f64, gain: &mut [f64]) -> f64 {
-        let n = self.n;
-        let mut variance = noise;
-        for i in 0..n {
-            gain[i] = (0..n).map(|j| self.p[i * n + j] * h[j]).sum();
-            variance += h[i] * gain[i];
-        }
-        for g in gain.iter_mut() {
-            *g /= variance;
-        }
-        variance
-    }
-
-    /// P ← P − K s Kᵀ.
-    fn update(&mut self, gain: &[f64], variance: f64) {
-        let n = self.n;
-        for i in 0..n {
-            for j in 0..n {
-                self.p[i * n + j] -= gain[i] * variance * gain[j];
-            }
-            // Rounding must not make a variance negative where the reading pins the state down.
-            let diagonal = &mut self.p[i * n + i];
-            *diagonal = diagonal.max(0.0);
-        }
-    }
-}
-
-/// Runs the filter over the segments at the run's parameters.
+/// Runs the filter over the stretches at the run's parameters.
 ///
 /// `scale` gives the size of the process noise per state, zero for a state that only integrates another one.
 pub fn filter(
@@ -144,71 +92,135 @@ pub fn filter(
     scale: &[f64],
     noise: &Noise,
 ) -> Pass {
-    let (n, p) = (states, parameters);
-    let mut pass = Pass { states: n, parameters: p, ..Pass::default() };
-    let intensity = intensities(scale, noise);
-    let mut covariance = Covariance::new(n);
-    let mut transition = Transition::default();
-    let mut prediction = Prediction::default();
-    let mut gain = vec![0.0; n];
-    let mut sensitivity = vec![0.0; n * p];
-    let mut advanced = vec![0.0; n * p];
-    for start in starts {
-        let mut x = start.state.clone();
-        let variance: Vec<f64> = start.std.iter().map(|s| s * s).collect();
-        covariance.reset(&variance);
-        sensitivity.fill(0.0);
-        pass.tape.push(Tape::Begin(pass.start_variance.len()));
-        pass.start_variance.extend_from_slice(&variance);
-        for index in start.first..start.end {
-            if let Some(reading) = run.events()[index].reading {
-                run.observe(index, &x, &mut prediction);
-                let innovation = wrapped(reading.value - prediction.value, run.wrap(reading.output));
-                let s = covariance.innovate(
-                    &prediction.by_state,
-                    noise.log_output[reading.output].exp(),
-                    &mut gain,
-                );
-                let row = pass.by_parameter.len();
-                for j in 0..p {
-                    let through: f64 = (0..n).map(|i| prediction.by_state[i] * sensitivity[i * p + j]).sum();
-                    pass.by_parameter.push(-(through + prediction.by_parameter[j]));
-                }
-                for i in 0..n {
-                    x[i] += gain[i] * innovation;
-                    for j in 0..p {
-                        sensitivity[i * p + j] += gain[i] * pass.by_parameter[row + j];
-                    }
-                }
-                covariance.update(&gain, s);
-                pass.tape.push(Tape::Read(pass.innovation.len()));
-                pass.innovation.push(innovation);
-                pass.variance.push(s);
-                pass.output.push(reading.output);
-                pass.stamp.push(reading.stamp);
-                pass.event.push(index);
-                pass.state.extend_from_slice(&x);
-                pass.output_by_state.extend_from_slice(&prediction.by_state);
-                pass.gain.extend_from_slice(&gain);
-            }
-            if index + 1 < start.end {
-                let dt = run.events()[index + 1].time - run.events()[index].time;
-                run.advance(index, &mut x, &mut transition);
-                covariance.advance(&transition.by_state, dt, &intensity);
-                for i in 0..n {
-                    for j in 0..p {
-                        let through: f64 =
-                            (0..n).map(|k| transition.by_state[i * n + k] * sensitivity[k * p + j]).sum();
-                        advanced[i * p + j] = through + transition.by_parameter[i * p + j];
-                    }
-                }
-                std::mem::swap(&mut sensitivity, &mut advanced);
-                pass.tape.push(Tape::Advance { dt, by_state: pass.by_state.len() });
-                pass.by_state.extend_from_slice(&transition.by_state);
-            }
-        }
+    let mut pass = Pass { states, parameters, ..Pass::default() };
+    for group in starts.chunks(LANES) {
+        walk_group(run, group, scale, noise, &mut pass);
     }
     pass
+}
+
+/// What one lane found, in the order of its readings.
+#[derive(Clone, Debug, Default)]
+struct Found {
+    innovation: Vec<f64>,
+    variance: Vec<f64>,
+    by_parameter: Vec<f64>,
+    output: Vec<usize>,
+    stamp: Vec<f64>,
+    event: Vec<usize>,
+    state: Vec<f64>,
+}
+
+fn walk_group(run: &mut dyn Run, group: &[Start], scale: &[f64], noise: &Noise, pass: &mut Pass) {
+    let (n, p) = (pass.states, pass.parameters);
+    let zero = F64x16::splat(0.0);
+    let intensity = intensities(scale, noise);
+    let output_variance: Vec<f64> = noise.log_output.iter().map(|r| r.exp()).collect();
+    let mut tape = Tape::default();
+    let mut motion = Motion::new(n, n, p);
+    let mut variance = vec![zero; n];
+    for (lane, start) in group.iter().enumerate() {
+        for i in 0..n {
+            motion.x[i][lane] = start.state[i];
+            variance[i][lane] = start.std[i] * start.std[i];
+        }
+    }
+    motion.seed();
+    let mut covariance = vec![zero; n * n];
+    for i in 0..n {
+        covariance[i * n + i] = variance[i];
+    }
+    tape.start_variance = variance;
+    let mut found: Vec<Found> = group.iter().map(|_| Found::default()).collect();
+    let (mut row, mut gain, mut scratch) = (Vec::new(), vec![zero; n], vec![zero; 2 * n * n]);
+    let longest = group.iter().map(|s| s.end - s.first).max().unwrap_or(0);
+    for tick in 0..longest {
+        let (mut reads, mut steps): (At, At) = ([None; LANES], [None; LANES]);
+        let mut dt = zero;
+        for (lane, start) in group.iter().enumerate() {
+            let index = start.first + tick;
+            if index >= start.end {
+                continue;
+            }
+            if run.events()[index].reading.is_some() {
+                reads[lane] = Some(index);
+            }
+            if index + 1 < start.end {
+                steps[lane] = Some(index);
+                dt[lane] = run.events()[index + 1].time - run.events()[index].time;
+            }
+        }
+        if reads.iter().any(Option::is_some) {
+            let value = run.observe_lanes(&reads, &motion, &mut row);
+            let (mut innovation, mut noise, mut active, mut counts) = (zero, zero, zero, zero);
+            let mut output = [NOTHING; LANES];
+            for (lane, start) in group.iter().enumerate() {
+                let Some(reading) = reads[lane].and_then(|index| run.events()[index].reading) else {
+                    continue;
+                };
+                innovation[lane] = wrapped(reading.value - value[lane], run.wrap(reading.output));
+                noise[lane] = output_variance[reading.output];
+                active[lane] = 1.0;
+                counts[lane] = f64::from(u8::from(reading.stamp >= start.counts_from));
+                output[lane] = reading.output as u8;
+            }
+            let spread = Level::widest().run(Read {
+                row: &row,
+                innovation: &innovation,
+                noise: &noise,
+                active: &active,
+                motion: &mut motion,
+                covariance: &mut covariance,
+                gain: &mut gain,
+            });
+            for (lane, found) in found.iter_mut().enumerate() {
+                let Some((index, reading)) = reads[lane].and_then(|i| Some((i, run.events()[i].reading?)))
+                else {
+                    continue;
+                };
+                if counts[lane] == 0.0 {
+                    continue;
+                }
+                found.innovation.push(innovation[lane]);
+                found.variance.push(spread[lane]);
+                found.by_parameter.extend(row[n..].iter().map(|d| -d[lane]));
+                found.output.push(reading.output);
+                found.stamp.push(reading.stamp);
+                found.event.push(index);
+                found.state.extend(motion.x.iter().map(|x| x[lane]));
+            }
+            let by_state = tape.numbers.len();
+            tape.numbers.extend_from_slice(&row[..n]);
+            tape.numbers.extend_from_slice(&gain);
+            tape.ticks.push(Tick::Read { by_state, gain: by_state + n, innovation, output, counts });
+        }
+        if steps.iter().any(Option::is_some) {
+            run.advance_lanes(&steps, &mut motion);
+            let by_state = tape.numbers.len();
+            for i in 0..n {
+                tape.numbers.extend_from_slice(&motion.by[i * (n + p)..i * (n + p) + n]);
+            }
+            Level::widest().run(Covariance {
+                by_state: &tape.numbers[by_state..],
+                dt: &dt,
+                intensity: &intensity,
+                covariance: &mut covariance,
+                scratch: &mut scratch,
+            });
+            tape.ticks.push(Tick::Advance { dt, by_state });
+            motion.reseed();
+        }
+    }
+    for mut found in found {
+        pass.innovation.append(&mut found.innovation);
+        pass.variance.append(&mut found.variance);
+        pass.by_parameter.append(&mut found.by_parameter);
+        pass.output.append(&mut found.output);
+        pass.stamp.append(&mut found.stamp);
+        pass.event.append(&mut found.event);
+        pass.state.append(&mut found.state);
+    }
+    pass.tapes.push(tape);
 }
 
 fn intensities(scale: &[f64], noise: &Noise) -> Vec<f64> {
@@ -269,43 +281,12 @@ impl Pass {
     /// −2 log likelihood at another noise, around the walk that was linearised. Needs no model evaluation.
     #[must_use]
     pub fn cost_at(&self, scale: &[f64], noise: &Noise) -> f64 {
-        let n = self.states;
         let intensity = intensities(scale, noise);
         let output: Vec<f64> = noise.log_output.iter().map(|r| r.exp()).collect();
-        let mut covariance = Covariance::new(n);
-        // Deviation from the stored walk, which follows the stored gains.
-        let mut deviation = vec![0.0; n];
-        let mut advanced = vec![0.0; n];
-        let mut gain = vec![0.0; n];
-        let mut cost = 0.0;
-        for step in &self.tape {
-            match *step {
-                Tape::Begin(at) => {
-                    covariance.reset(&self.start_variance[at..at + n]);
-                    deviation.fill(0.0);
-                }
-                Tape::Advance { dt, by_state } => {
-                    let phi = &self.by_state[by_state..by_state + n * n];
-                    covariance.advance(phi, dt, &intensity);
-                    for i in 0..n {
-                        advanced[i] = (0..n).map(|k| phi[i * n + k] * deviation[k]).sum();
-                    }
-                    std::mem::swap(&mut deviation, &mut advanced);
-                }
-                Tape::Read(k) => {
-                    let h = &self.output_by_state[k * n..(k + 1) * n];
-                    let s = covariance.innovate(h, output[self.output[k]], &mut gain);
-                    let shift: f64 = (0..n).map(|i| h[i] * deviation[i]).sum();
-                    let innovation = self.innovation[k] - shift;
-                    for i in 0..n {
-                        deviation[i] += gain[i] * innovation - self.gain[k * n + i] * self.innovation[k];
-                    }
-                    covariance.update(&gain, s);
-                    cost += innovation * innovation / s + s.ln();
-                }
-            }
-        }
-        cost
+        let states = self.states;
+        let cost =
+            |tape| Level::widest().run(CostAt { tape, states, intensity: &intensity, output: &output });
+        self.tapes.iter().map(|tape| cost(tape).to_array().iter().sum::<f64>()).sum()
     }
 
     /// The noise that makes the innovations likeliest around this walk: a coordinate search on the logarithms.

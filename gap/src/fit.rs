@@ -29,6 +29,9 @@ pub struct Minimum {
     pub information: DMatrix<f64>,
 }
 
+/// A gain in the loss that is not worth another step.
+const PROMISE: f64 = 1e-3;
+
 /// The priors' −2 log density at θ.
 #[must_use]
 pub fn prior_cost(fitted: &[Fitted], theta: &[f64]) -> f64 {
@@ -59,6 +62,12 @@ where
             break;
         }
         let (hessian, gradient) = with_priors(fitted, &theta, &local);
+        // What the quadratic model promises: the gradient is half that of the cost.
+        let promised = bounded_step(fitted, &theta, &hessian, &gradient, 0.0)
+            .map(|step| -step.iter().zip(gradient.iter()).map(|(d, g)| d * g).sum::<f64>());
+        if promised.is_some_and(|gain| gain < PROMISE) {
+            break;
+        }
         let mut accepted = false;
         for _ in 0..8 {
             let Some(step) = bounded_step(fitted, &theta, &hessian, &gradient, damping) else {
@@ -77,7 +86,7 @@ where
                 let moved = gain + (trial_cost - refreshed).max(0.0);
                 cost = refreshed;
                 damping = (damping * 0.2).max(1e-9);
-                accepted = moved > 1e-3;
+                accepted = moved > PROMISE;
                 break;
             }
             damping *= 6.0;

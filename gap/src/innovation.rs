@@ -4,7 +4,7 @@ use crate::filter::{Noise, Pass, Start, filter};
 use crate::fit::{Local, Minimum, minimise};
 use crate::hypothesis::Hypothesis;
 use crate::shooting::{lateness, locate};
-use crate::simulator::Simulator;
+use crate::simulator::{LANES, Run, Simulator};
 
 /// A stretch of a recording, and the state guessed at its start.
 #[derive(Clone, Debug)]
@@ -45,6 +45,51 @@ pub struct InnovationFit {
     pub evidence_cost: f64,
 }
 
+/// Readings of each output from which a filter that starts in the middle of a segment learns the state.
+pub const SETTLING_READINGS: usize = 8;
+
+/// Cuts segments into stretches that can be walked side by side. A filter forgets where it began; the first readings of
+/// each stretch, which the one before it has counted already, tell it the state.
+fn stretches(run: &dyn Run, segments: &[Segment], outputs: usize) -> Vec<Start> {
+    let late = lateness(run.events());
+    let found: Vec<(&Segment, usize, usize)> = segments
+        .iter()
+        .filter_map(|s| {
+            let (first, end) = locate(run.events(), late, s.from, s.to)?;
+            Some((s, first, end))
+        })
+        .collect();
+    let stamps: Vec<Vec<f64>> = found
+        .iter()
+        .map(|(_, first, end)| {
+            let readings = run.events()[*first..*end].iter().filter_map(|e| e.reading);
+            readings.map(|r| r.stamp).collect()
+        })
+        .collect();
+    let settling = 2 * SETTLING_READINGS * outputs;
+    let total: usize = stamps.iter().map(Vec::len).sum();
+    let mut starts = Vec::new();
+    for ((segment, first, end), mut stamps) in found.into_iter().zip(stamps) {
+        // In the order of stamps, not of events: the cuts must not depend on a delay under trial.
+        stamps.sort_by(f64::total_cmp);
+        let lanes = LANES * segments.len().div_ceil(LANES);
+        let spare = lanes.saturating_sub(segments.len());
+        let pieces = (1 + spare * stamps.len() / total.max(1)).min(stamps.len() / (3 * settling)).max(1);
+        for piece in 0..pieces {
+            let at = stamps.len() * piece / pieces;
+            let next = stamps.len() * (piece + 1) / pieces;
+            let counts_from = if piece == 0 { segment.from } else { stamps[at] };
+            let from = if piece == 0 { segment.from } else { stamps[at - settling] };
+            let to = if piece + 1 == pieces { segment.to } else { stamps[next] };
+            let place = if pieces == 1 { Some((first, end)) } else { locate(run.events(), late, from, to) };
+            let Some((first, end)) = place else { continue };
+            let (state, std) = (segment.state.clone(), segment.std.clone());
+            starts.push(Start { first, end, counts_from, state, std });
+        }
+    }
+    starts
+}
+
 /// The filter's walk of `simulator` over the segments at θ.
 pub fn walk(
     simulator: &dyn Simulator,
@@ -54,14 +99,7 @@ pub fn walk(
     theta: &[f64],
 ) -> Pass {
     let mut run = simulator.run(theta);
-    let late = lateness(run.events());
-    let starts: Vec<Start> = segments
-        .iter()
-        .filter_map(|s| {
-            let (first, end) = locate(run.events(), late, s.from, s.to)?;
-            Some(Start { first, end, state: s.state.clone(), std: s.std.clone() })
-        })
-        .collect();
+    let starts = stretches(&*run, segments, model.limits.len());
     filter(&mut *run, &starts, simulator.states(), simulator.parameters(), &model.scale, noise)
 }
 

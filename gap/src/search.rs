@@ -3,12 +3,12 @@
 use rayon::prelude::*;
 
 use crate::filter::Pass;
-use crate::fit::{Minimum, minimise};
+use crate::fit::{Local, Minimum, minimise};
 use crate::hypothesis::{EffectAt, Hypothesis};
-use crate::innovation::{InnovationFit, Segment, fit, walk};
+use crate::innovation::{InnovationFit, SETTLING_READINGS, Segment, fit, walk};
 use crate::library;
 use crate::setup::Setup;
-use crate::shooting::{Residuals, Window, shoot};
+use crate::shooting::{Residuals, States, Window, shoot};
 use crate::simulator::Simulator;
 use parallax_model::plant::Residual;
 
@@ -121,9 +121,6 @@ impl Shot {
     }
 }
 
-/// Readings of each output after which a filter's state is a guess to start a window from.
-const SETTLING_READINGS: usize = 8;
-
 /// Windows over the training segments, their states guessed by a filter's walk.
 #[must_use]
 pub fn windows(setup: &Setup, segments: &[Segment], walked: &Pass) -> Vec<Window> {
@@ -143,7 +140,7 @@ pub fn windows(setup: &Setup, segments: &[Segment], walked: &Pass) -> Vec<Window
             // The filter's state at the window's first reading; it has seen all earlier ones.
             let Some(reading) = walked.stamp.iter().position(|s| *s >= from && *s < to) else { continue };
             let state = walked.state[reading * n..(reading + 1) * n].to_vec();
-            windows.push(Window { from, to, guess: state.clone(), state, std: segment.std.clone() });
+            windows.push(Window::new(from, to, state, segment.std.clone()));
         }
     }
     windows
@@ -158,38 +155,102 @@ fn fit_windows(
     start: &[f64],
     iterations: usize,
 ) -> Shot {
-    let n = simulator.states();
-    // Residuals are at least the sensor's noise; the initial states take up some of it.
-    let floor: Vec<f64> = setup.output_noise.iter().map(|s| 0.25 * s * s).collect();
-    let mut variance: Vec<f64> = setup.output_noise.iter().map(|s| 4.0 * s * s).collect();
-    let mut windows = windows.to_vec();
-    let mut residuals = Residuals::default();
-    let minimum = minimise(&hypothesis.fitted, start, iterations, |theta, accepted| {
-        // A trial that is rejected must not leave its initial states behind.
-        let mut trial = windows.clone();
-        let (mut local, found) = shoot(simulator, theta, &mut trial, &variance);
+    let mut loss = WindowsLoss {
+        setup,
+        simulator,
+        windows: windows.to_vec(),
+        at: None,
+        variance: setup.output_noise.iter().map(|s| 4.0 * s * s).collect(),
+        residuals: Residuals::default(),
+        trial: None,
+    };
+    let mut minimum =
+        minimise(&hypothesis.fitted, start, iterations, |theta, accepted| loss.at(theta, accepted));
+    // On the way the states follow θ to first order. Where settling them finds something better, the fit goes on.
+    for _ in 0..RESUMED {
+        loss.at = None;
+        let again = minimise(&hypothesis.fitted, &minimum.theta, iterations, |theta, accepted| {
+            loss.at(theta, accepted)
+        });
+        let gain = minimum.cost - again.cost;
+        minimum = again;
+        if gain.is_nan() || gain < 1.0 {
+            break;
+        }
+    }
+    let cost = minimum.evidence_cost(&hypothesis.fitted);
+    Shot { minimum, cost, residuals: loss.residuals }
+}
+
+/// How often a fit goes on after its states were settled.
+const RESUMED: usize = 3;
+
+/// The loss of short windows along a minimisation.
+struct WindowsLoss<'a> {
+    setup: &'a Setup,
+    simulator: &'a dyn Simulator,
+    /// Windows with the states that belong to the accepted θ.
+    windows: Vec<Window>,
+    /// The accepted θ.
+    at: Option<Vec<f64>>,
+    variance: Vec<f64>,
+    residuals: Residuals,
+    /// The last θ that was tried, with what was found there.
+    trial: Option<(Vec<f64>, Vec<Window>, Local, Residuals)>,
+}
+
+impl WindowsLoss<'_> {
+    fn at(&mut self, theta: &[f64], accepted: bool) -> Local {
+        let known = self.trial.take().filter(|trial| self.at.is_some() && trial.0 == theta);
+        let (_, trial, mut local, found) = known.unwrap_or_else(|| {
+            // A trial that is rejected must not leave its initial states behind.
+            let mut trial = self.windows.clone();
+            let states = match &self.at {
+                Some(at) => {
+                    let step: Vec<f64> = theta.iter().zip(at).map(|(to, from)| to - from).collect();
+                    trial.iter_mut().for_each(|window| window.follow(&step));
+                    States::Kept
+                }
+                None => States::Settled,
+            };
+            let (local, found) = shoot(self.simulator, theta, &mut trial, &self.variance, states);
+            (theta.to_vec(), trial, local, found)
+        });
         if accepted {
-            windows = trial;
-            let outputs = found.counts.iter().filter(|c| **c > 0).count().max(1);
-            let mut changed = false;
-            for (o, v) in variance.iter_mut().enumerate() {
-                let free = found.counts[o].saturating_sub(n * windows.len() / outputs).max(1);
-                let fresh = (found.squares[o] / free as f64).max(floor[o]);
-                changed |= (fresh / *v).ln().abs() > 0.02;
-                *v = fresh;
+            self.windows = trial;
+            self.at = Some(theta.to_vec());
+            self.residuals = found;
+            if self.refit_noise() {
+                (local, self.residuals) =
+                    shoot(self.simulator, theta, &mut self.windows, &self.variance, States::Kept);
             }
-            residuals = found;
-            if changed {
-                (local, residuals) = shoot(simulator, theta, &mut windows, &variance);
-            }
+        } else {
+            self.trial = Some((theta.to_vec(), trial, local.clone(), found));
         }
         if !local.cost.is_finite() {
             local.cost = f64::INFINITY;
         }
         local
-    });
-    let cost = minimum.evidence_cost(&hypothesis.fitted);
-    Shot { minimum, cost, residuals }
+    }
+
+    /// Takes each output's noise from its residuals. Gives whether that changed anything.
+    fn refit_noise(&mut self) -> bool {
+        let found = &self.residuals;
+        let n = self.simulator.states();
+        let outputs = found.counts.iter().filter(|c| **c > 0).count().max(1);
+        let mut changed = false;
+        for (o, v) in self.variance.iter_mut().enumerate() {
+            // Residuals are at least the sensor's noise; the initial states take up some of it.
+            let floor = 0.25 * self.setup.output_noise[o].powi(2);
+            let free = found.counts[o].saturating_sub(n * self.windows.len() / outputs).max(1);
+            let fresh = (found.squares[o] / free as f64).max(floor);
+            changed |= (fresh / *v).ln().abs() > 0.02;
+            if fresh.is_finite() {
+                *v = fresh;
+            }
+        }
+        changed
+    }
 }
 
 /// The nominal model, refitted: the null hypothesis.

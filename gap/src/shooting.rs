@@ -4,10 +4,11 @@
 //! the shared parameters; nothing drifts over more than a window, so closed loops and unstable plants are no trouble
 //! (multiple shooting without continuity: Bock 1983; the states are eliminated window by window).
 
-use nalgebra::{DMatrix, DVector};
+use parallax_model::Scalar;
+use parallax_model::lanes::{F64x16, InMemory, Kernel, Level, Simd};
 
 use crate::fit::Local;
-use crate::simulator::{Event, Prediction, Run, Simulator, Transition, wrapped};
+use crate::simulator::{At, Event, LANES, Motion, Run, Simulator, wrapped};
 
 /// A window: readings whose stamps lie in `[from, to)`, and the state guessed at its first one.
 #[derive(Clone, Debug)]
@@ -22,6 +23,31 @@ pub struct Window {
     pub std: Vec<f64>,
     /// Where the initial state was guessed to be.
     pub guess: Vec<f64>,
+    /// How the best initial state differs from `state`, by the last evaluation.
+    newton: Vec<f64>,
+    /// How the best initial state moves with θ, states × parameters, by the last evaluation.
+    response: Vec<f64>,
+}
+
+impl Window {
+    /// A window whose state is where it was guessed to be.
+    #[must_use]
+    pub fn new(from: f64, to: f64, guess: Vec<f64>, std: Vec<f64>) -> Self {
+        Window { from, to, state: guess.clone(), std, guess, newton: Vec::new(), response: Vec::new() }
+    }
+
+    /// Moves the state to where it is best when θ moves by `step`, to first order.
+    pub fn follow(&mut self, step: &[f64]) {
+        for (i, (x, newton)) in self.state.iter_mut().zip(&self.newton).enumerate() {
+            let row = &self.response[i * step.len()..(i + 1) * step.len()];
+            *x += newton + row.iter().zip(step).map(|(r, d)| r * d).sum::<f64>();
+        }
+    }
+
+    /// −2 log of the weak prior, up to a constant.
+    fn prior(&self) -> f64 {
+        self.state.iter().zip(&self.guess).zip(&self.std).map(|((x, g), s)| ((x - g) / s).powi(2)).sum()
+    }
 }
 
 /// How much earlier than its stamp a reading is taken at most: the largest delay of a reading (s).
@@ -53,34 +79,55 @@ pub struct Residuals {
     pub scores: Vec<Vec<f64>>,
 }
 
-/// The cost of the windows at the parameters θ, initial states eliminated.
+/// What is done to the windows' initial states before the cost is taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum States {
+    /// They stay as they are.
+    Kept,
+    /// Damped Gauss–Newton steps bring each to where it is best.
+    Settled,
+}
+
+/// The cost of the windows at the parameters θ, initial states eliminated; `variance` per output weighs the residuals.
 ///
-/// `variance` per output weighs the residuals; each window's state is refined by two Gauss–Newton steps first.
+/// The curvature and the gradient are those of the states and θ together, the states projected out: a step in θ taken
+/// with them is right if the states [`Window::follow`] it.
 pub fn shoot(
     simulator: &dyn Simulator,
     theta: &[f64],
     windows: &mut [Window],
     variance: &[f64],
+    states: States,
 ) -> (Local, Residuals) {
     let (n, p) = (simulator.states(), simulator.parameters());
     let mut run = simulator.run(theta);
-    let mut plain = simulator.run_at(theta);
     let mut total = Local { cost: 0.0, information: vec![0.0; p * p], gradient: vec![0.0; p] };
     let mut residuals =
         Residuals { squares: vec![0.0; variance.len()], counts: vec![0; variance.len()], scores: Vec::new() };
-    let mut normal = Normal::new(n, p);
-    // Initial states are settled without the derivatives by θ, which would be most of the work.
-    let mut settling = Normal::new(n, 0);
     let late = lateness(run.events());
-    for window in windows {
-        let Some((first, end)) = locate(run.events(), late, window.from, window.to) else { continue };
-        if n > 0 {
-            settling.settle(&mut *plain, first, end, window, variance);
+    let mut found: Vec<(&mut Window, usize, usize)> = windows
+        .iter_mut()
+        .filter_map(|w| {
+            let (first, end) = locate(run.events(), late, w.from, w.to)?;
+            Some((w, first, end))
+        })
+        .collect();
+    if n > 0 && states == States::Settled {
+        // Initial states are settled without the derivatives by θ, which would be most of the work.
+        let mut plain = simulator.run_at(theta);
+        let mut normal = Normal::new(n, 0);
+        let mut other = Normal::new(n, 0);
+        for group in found.chunks_mut(LANES) {
+            settle(&mut *plain, group, variance, &mut normal, &mut other);
         }
-        normal.march(&mut *run, first, end, window, variance, Some(&mut residuals));
-        let before = total.gradient.clone();
-        normal.eliminate(window, &mut total);
-        residuals.scores.push(total.gradient.iter().zip(&before).map(|(after, b)| after - b).collect());
+    }
+    let mut normal = Normal::new(n, p);
+    for group in found.chunks_mut(LANES) {
+        let initial: Vec<Vec<f64>> = group.iter().map(|g| g.0.state.clone()).collect();
+        normal.march(&mut *run, group, &initial, variance, Some(&mut residuals));
+        for (lane, (window, ..)) in group.iter_mut().enumerate() {
+            residuals.scores.push(normal.eliminate(lane, window, &mut total));
+        }
     }
     for (count, v) in residuals.counts.iter().zip(variance) {
         total.cost += *count as f64 * v.ln();
@@ -88,196 +135,355 @@ pub fn shoot(
     (total, residuals)
 }
 
-/// The normal equations of one window.
+/// A window with its first event and the one after its last.
+type Placed<'a> = (&'a mut Window, usize, usize);
+
+/// The normal equations of as many windows as there are lanes.
 struct Normal {
     n: usize,
-    p: usize,
-    squares: f64,
-    /// JᵀJ over `[state | θ]`.
-    information: DMatrix<f64>,
+    columns: usize,
+    squares: F64x16,
+    /// JᵀJ over `[state | θ]`, the lower triangle row by row.
+    information: Vec<F64x16>,
     /// Jᵀe over the same.
-    gradient: DVector<f64>,
-    by_state: Vec<f64>,
-    by_parameter: Vec<f64>,
-    scratch: Vec<f64>,
-    transition: Transition,
-    prediction: Prediction,
+    gradient: Vec<F64x16>,
+    motion: Motion,
+    row: Vec<F64x16>,
 }
 
 impl Normal {
     fn new(n: usize, p: usize) -> Self {
+        let (columns, zero) = (n + p, F64x16::splat(0.0));
         Normal {
             n,
-            p,
-            squares: 0.0,
-            information: DMatrix::zeros(n + p, n + p),
-            gradient: DVector::zeros(n + p),
-            by_state: vec![0.0; n * n],
-            by_parameter: vec![0.0; n * p],
-            scratch: vec![0.0; n * n.max(p)],
-            transition: Transition::default(),
-            prediction: Prediction::default(),
+            columns,
+            squares: zero,
+            information: vec![zero; columns * (columns + 1) / 2],
+            gradient: vec![zero; columns],
+            motion: Motion::new(n, n, p),
+            row: Vec::new(),
         }
     }
 
+    /// Walks the windows from the given initial states.
     fn march(
         &mut self,
         run: &mut dyn Run,
-        first: usize,
-        end: usize,
-        window: &Window,
+        group: &[Placed<'_>],
+        initial: &[Vec<f64>],
         variance: &[f64],
         mut residuals: Option<&mut Residuals>,
     ) {
-        let (n, p) = (self.n, self.p);
-        self.squares = 0.0;
-        self.information.fill(0.0);
-        self.gradient.fill(0.0);
-        self.by_parameter.fill(0.0);
-        self.by_state.fill(0.0);
-        for i in 0..n {
-            self.by_state[i * n + i] = 1.0;
-        }
-        let mut x = window.state.clone();
-        let mut row = vec![0.0; n + p];
-        for index in first..end {
-            let reading = run.events()[index].reading;
-            if let Some(reading) = reading.filter(|r| r.stamp >= window.from && r.stamp < window.to) {
-                run.observe(index, &x, &mut self.prediction);
-                let e = wrapped(reading.value - self.prediction.value, run.wrap(reading.output));
-                let weight = 1.0 / variance[reading.output];
-                if let Some(residuals) = residuals.as_deref_mut() {
-                    residuals.squares[reading.output] += e * e;
-                    residuals.counts[reading.output] += 1;
-                }
-                self.squares += e * e * weight;
-                for (j, entry) in row.iter_mut().take(n).enumerate() {
-                    *entry =
-                        -(0..n).map(|i| self.prediction.by_state[i] * self.by_state[i * n + j]).sum::<f64>();
-                }
-                for j in 0..p {
-                    let through: f64 =
-                        (0..n).map(|i| self.prediction.by_state[i] * self.by_parameter[i * p + j]).sum();
-                    row[n + j] = -(through + self.prediction.by_parameter[j]);
-                }
-                for i in 0..n + p {
-                    self.gradient[i] += row[i] * e * weight;
-                    for j in 0..=i {
-                        self.information[(i, j)] += row[i] * row[j] * weight;
-                    }
-                }
-            }
-            if index + 1 < end {
-                run.advance(index, &mut x, &mut self.transition);
-                for i in 0..n {
-                    for j in 0..n {
-                        self.scratch[i * n + j] = (0..n)
-                            .map(|k| self.transition.by_state[i * n + k] * self.by_state[k * n + j])
-                            .sum();
-                    }
-                }
-                self.by_state.copy_from_slice(&self.scratch[..n * n]);
-                for i in 0..n {
-                    for j in 0..p {
-                        let through: f64 = (0..n)
-                            .map(|k| self.transition.by_state[i * n + k] * self.by_parameter[k * p + j])
-                            .sum();
-                        self.scratch[i * p + j] = through + self.transition.by_parameter[i * p + j];
-                    }
-                }
-                self.by_parameter.copy_from_slice(&self.scratch[..n * p]);
+        let zero = F64x16::splat(0.0);
+        self.squares = zero;
+        self.information.fill(zero);
+        self.gradient.fill(zero);
+        self.motion.x.fill(zero);
+        for (lane, state) in initial.iter().enumerate() {
+            for (lanes, value) in self.motion.x.iter_mut().zip(state) {
+                lanes[lane] = *value;
             }
         }
-        for i in 0..n + p {
-            for j in 0..i {
-                self.information[(j, i)] = self.information[(i, j)];
+        self.motion.seed();
+        let longest = group.iter().map(|(_, first, end)| end - first).max().unwrap_or(0);
+        for tick in 0..longest {
+            let (mut reads, mut steps): (At, At) = ([None; LANES], [None; LANES]);
+            let (mut error, mut weight) = (zero, zero);
+            let mut any = false;
+            for (lane, (window, first, end)) in group.iter().enumerate() {
+                let index = first + tick;
+                if index >= *end {
+                    continue;
+                }
+                if index + 1 < *end {
+                    steps[lane] = Some(index);
+                }
+                let reading = run.events()[index].reading;
+                if reading.is_some_and(|r| r.stamp >= window.from && r.stamp < window.to) {
+                    reads[lane] = Some(index);
+                    any = true;
+                }
+            }
+            if any {
+                let value = run.observe_lanes(&reads, &self.motion, &mut self.row);
+                for lane in 0..LANES {
+                    let Some(reading) = reads[lane].and_then(|index| run.events()[index].reading) else {
+                        continue;
+                    };
+                    let e = wrapped(reading.value - value[lane], run.wrap(reading.output));
+                    error[lane] = e;
+                    weight[lane] = 1.0 / variance[reading.output];
+                    if let Some(residuals) = residuals.as_deref_mut() {
+                        residuals.squares[reading.output] += e * e;
+                        residuals.counts[reading.output] += 1;
+                    }
+                }
+                Level::widest().run(Accumulate {
+                    row: &self.row,
+                    error: &error,
+                    weight: &weight,
+                    squares: &mut self.squares,
+                    information: &mut self.information,
+                    gradient: &mut self.gradient,
+                });
+            }
+            if steps.iter().any(Option::is_some) {
+                run.advance_lanes(&steps, &mut self.motion);
             }
         }
     }
 
-    /// Squared residuals and the weak prior of the initial state.
-    fn cost(&self, window: &Window) -> f64 {
-        let prior: f64 = window
-            .state
-            .iter()
-            .zip(&window.guess)
-            .zip(&window.std)
-            .map(|((x, g), s)| ((x - g) / s).powi(2))
-            .sum();
-        self.squares + prior
+    /// Squared residuals and the weak prior of the initial state, which is `window.state`.
+    fn cost(&self, lane: usize, window: &Window) -> f64 {
+        self.squares[lane] + window.prior()
     }
 
-    /// Hessian and gradient of the initial state, its prior included.
-    fn state_system(&self, window: &Window) -> (DMatrix<f64>, DVector<f64>) {
+    fn information(&self, lane: usize, i: usize, j: usize) -> f64 {
+        let (i, j) = (i.max(j), i.min(j));
+        self.information[i * (i + 1) / 2 + j][lane]
+    }
+
+    /// The Cholesky factor of the initial state's curvature, and its gradient, the prior included.
+    fn state_system(&self, lane: usize, window: &Window) -> (Option<Vec<f64>>, Vec<f64>) {
         let n = self.n;
-        let mut a = self.information.view((0, 0), (n, n)).into_owned();
-        let mut g = self.gradient.rows(0, n).into_owned();
+        let mut a = vec![0.0; n * n];
+        let mut g = vec![0.0; n];
         for i in 0..n {
+            for j in 0..=i {
+                a[i * n + j] = self.information(lane, i, j);
+            }
             let precision = window.std[i].powi(-2);
-            a[(i, i)] += precision;
-            g[i] += precision * (window.state[i] - window.guess[i]);
+            a[i * n + i] += precision;
+            g[i] = self.gradient[i][lane] + precision * (window.state[i] - window.guess[i]);
         }
-        (a, g)
+        (factor(a, n), g)
     }
 
-    /// Damped Gauss–Newton on the initial state alone, from where the window's state is.
-    fn settle(&mut self, run: &mut dyn Run, first: usize, end: usize, window: &mut Window, variance: &[f64]) {
-        self.march(run, first, end, window, variance, None);
-        let mut cost = self.cost(window);
-        // At other parameters the state found before may lie beyond a stop or a turn: the guess never does.
-        let found = std::mem::replace(&mut window.state, window.guess.clone());
-        self.march(run, first, end, window, variance, None);
-        let guessed = self.cost(window);
-        if guessed < cost {
-            cost = guessed;
-        } else {
-            window.state = found;
-            self.march(run, first, end, window, variance, None);
+    /// Takes over one lane of another walk.
+    fn take(&mut self, other: &Normal, lane: usize) {
+        self.squares[lane] = other.squares[lane];
+        for (to, from) in self.information.iter_mut().zip(&other.information) {
+            to[lane] = from[lane];
         }
-        for _ in 0..4 {
-            let Some(step) = self.state_step(window) else { return };
-            let before = window.state.clone();
-            let mut share = 1.0;
-            let gain = loop {
-                for ((x, b), d) in window.state.iter_mut().zip(&before).zip(step.iter()) {
-                    *x = b + share * d;
+        for (to, from) in self.gradient.iter_mut().zip(&other.gradient) {
+            to[lane] = from[lane];
+        }
+    }
+
+    /// Adds a window to the total, its state projected out (Schur complement). Gives its share of the gradient.
+    fn eliminate(&self, lane: usize, window: &mut Window, total: &mut Local) -> Vec<f64> {
+        let n = self.n;
+        let p = self.columns - n;
+        total.cost += self.cost(lane, window);
+        let (factor, g) = self.state_system(lane, window);
+        window.newton.clear();
+        window.response.clear();
+        window.newton.resize(n, 0.0);
+        window.response.resize(n * p, 0.0);
+        let mut score: Vec<f64> = (0..p).map(|j| self.gradient[n + j][lane]).collect();
+        // With A = L Lᵀ: Y = L⁻¹ B and z = L⁻¹ g, so that Bᵀ A⁻¹ B = Yᵀ Y.
+        let mut y = vec![0.0; n * p];
+        if let Some(l) = &factor {
+            let mut z = g;
+            forward(l, n, &mut z);
+            for j in 0..p {
+                let mut column: Vec<f64> = (0..n).map(|i| self.information(lane, n + j, i)).collect();
+                forward(l, n, &mut column);
+                score[j] -= column.iter().zip(&z).map(|(a, b)| a * b).sum::<f64>();
+                for i in 0..n {
+                    y[i * p + j] = column[i];
                 }
-                self.march(run, first, end, window, variance, None);
-                let trial = self.cost(window);
-                if trial < cost {
-                    break cost - trial;
+                backward(l, n, &mut column);
+                for i in 0..n {
+                    window.response[i * p + j] = -column[i];
                 }
-                share *= 0.3;
-                if share < 0.02 {
-                    window.state = before;
-                    return;
+            }
+            backward(l, n, &mut z);
+            for (newton, z) in window.newton.iter_mut().zip(&z) {
+                *newton = -z;
+            }
+        }
+        for i in 0..p {
+            total.gradient[i] += score[i];
+            for j in 0..=i {
+                let through: f64 = (0..n).map(|k| y[k * p + i] * y[k * p + j]).sum();
+                let value = self.information(lane, n + i, n + j) - through;
+                total.information[i * p + j] += value;
+                if i != j {
+                    total.information[j * p + i] += value;
                 }
-            };
-            cost -= gain;
-            if gain < 1e-3 * cost.max(1e-3) {
-                return;
+            }
+        }
+        score
+    }
+}
+
+/// Damped Gauss–Newton on each window's initial state, from where it is or was guessed to be.
+fn settle(
+    run: &mut dyn Run,
+    group: &mut [Placed<'_>],
+    variance: &[f64],
+    normal: &mut Normal,
+    other: &mut Normal,
+) {
+    // At other parameters the state found before may lie beyond a stop or a turn: the guess never does.
+    let mut initial: Vec<Vec<f64>> = group.iter().map(|g| g.0.guess.clone()).collect();
+    normal.march(run, group, &initial, variance, None);
+    let mut cost: Vec<f64> = (0..group.len()).map(|lane| normal.squares[lane]).collect();
+    if group.iter().any(|g| g.0.state != g.0.guess) {
+        for (state, (window, ..)) in initial.iter_mut().zip(group.iter()) {
+            state.clone_from(&window.state);
+        }
+        other.march(run, group, &initial, variance, None);
+        for (lane, (window, ..)) in group.iter_mut().enumerate() {
+            let found = other.cost(lane, window);
+            if found <= cost[lane] || cost[lane].is_nan() {
+                normal.take(other, lane);
+                cost[lane] = found;
+            } else {
+                window.state = window.guess.clone();
             }
         }
     }
-
-    fn state_step(&self, window: &Window) -> Option<DVector<f64>> {
-        let (a, g) = self.state_system(window);
-        a.cholesky().map(|c| -c.solve(&g))
+    // Each window takes steps of its own; those that are done wait for the others.
+    let mut tries: Vec<Try> = group.iter().map(|_| Try { step: Vec::new(), share: 1.0, left: 4 }).collect();
+    for (lane, (attempt, (window, ..))) in tries.iter_mut().zip(group.iter()).enumerate() {
+        attempt.begin(normal, lane, window);
     }
+    while tries.iter().any(|t| t.left > 0) {
+        for ((state, attempt), (window, ..)) in initial.iter_mut().zip(&tries).zip(group.iter()) {
+            state.clone_from(&window.state);
+            if attempt.left > 0 {
+                for (x, d) in state.iter_mut().zip(&attempt.step) {
+                    *x += attempt.share * d;
+                }
+            }
+        }
+        other.march(run, group, &initial, variance, None);
+        for (lane, (attempt, (window, ..))) in tries.iter_mut().zip(group.iter_mut()).enumerate() {
+            if attempt.left == 0 {
+                continue;
+            }
+            let before = std::mem::replace(&mut window.state, initial[lane].clone());
+            let trial = other.cost(lane, window);
+            if trial < cost[lane] {
+                let gain = cost[lane] - trial;
+                cost[lane] = trial;
+                normal.take(other, lane);
+                attempt.left -= 1;
+                if gain < 1e-3 * trial.max(1e-3) {
+                    attempt.left = 0;
+                }
+                attempt.begin(normal, lane, window);
+            } else {
+                window.state = before;
+                attempt.share *= 0.3;
+                if attempt.share < 0.02 {
+                    attempt.left = 0;
+                }
+            }
+        }
+    }
+}
 
-    /// Adds the window to the total, its state projected out (Schur complement).
-    fn eliminate(&self, window: &Window, total: &mut Local) {
-        let (n, p) = (self.n, self.p);
-        total.cost += self.cost(window);
-        let cross = self.information.view((0, n), (n, p));
-        let (a, g) = self.state_system(window);
-        let reduced = if n == 0 { None } else { a.cholesky() };
-        for i in 0..p {
-            let solved = reduced.as_ref().map(|c| c.solve(&cross.column(i).into_owned()));
-            total.gradient[i] += self.gradient[n + i] - solved.as_ref().map_or(0.0, |s| s.dot(&g));
-            for j in 0..p {
-                let through = solved.as_ref().map_or(0.0, |s| s.dot(&cross.column(j)));
-                total.information[i * p + j] += self.information[(n + i, n + j)] - through;
+/// A step of a window's initial state under trial.
+struct Try {
+    step: Vec<f64>,
+    share: f64,
+    left: usize,
+}
+
+impl Try {
+    fn begin(&mut self, normal: &Normal, lane: usize, window: &Window) {
+        let (factor, mut g) = normal.state_system(lane, window);
+        let Some(l) = factor else {
+            self.left = 0;
+            return;
+        };
+        forward(&l, normal.n, &mut g);
+        backward(&l, normal.n, &mut g);
+        self.step = g.into_iter().map(|d| -d).collect();
+        self.share = 1.0;
+    }
+}
+
+/// The lower Cholesky factor of a symmetric matrix whose lower triangle is given, if it is positive definite.
+fn factor(mut a: Vec<f64>, n: usize) -> Option<Vec<f64>> {
+    for j in 0..n {
+        for i in j..n {
+            let mut value = a[i * n + j];
+            for k in 0..j {
+                value -= a[i * n + k] * a[j * n + k];
+            }
+            if i == j {
+                if value.is_nan() || value <= 0.0 {
+                    return None;
+                }
+                a[j * n + j] = value.sqrt();
+            } else {
+                a[i * n + j] = value / a[j * n + j];
+            }
+        }
+    }
+    Some(a)
+}
+
+/// x ← L⁻¹ x.
+fn forward(l: &[f64], n: usize, x: &mut [f64]) {
+    for i in 0..n {
+        for k in 0..i {
+            x[i] -= l[i * n + k] * x[k];
+        }
+        x[i] /= l[i * n + i];
+    }
+}
+
+/// x ← L⁻ᵀ x.
+fn backward(l: &[f64], n: usize, x: &mut [f64]) {
+    for i in (0..n).rev() {
+        for k in i + 1..n {
+            x[i] -= l[k * n + i] * x[k];
+        }
+        x[i] /= l[i * n + i];
+    }
+}
+
+/// Adds a reading of each lane to the normal equations; lanes of weight zero add nothing, whatever they hold.
+struct Accumulate<'a> {
+    /// Derivatives of the prediction.
+    row: &'a [F64x16],
+    error: &'a F64x16,
+    weight: &'a F64x16,
+    squares: &'a mut F64x16,
+    information: &'a mut [F64x16],
+    gradient: &'a mut [F64x16],
+}
+
+impl Kernel for Accumulate<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self) {
+        let row = F64x16::registers::<S>(self.row);
+        let information = F64x16::registers_mut::<S>(self.information);
+        let gradient = F64x16::registers_mut::<S>(self.gradient);
+        let error = <F64x16 as InMemory>::load::<S>(self.error);
+        let weight = <F64x16 as InMemory>::load::<S>(self.weight);
+        let zero = <F64x16 as InMemory>::load::<S>(&F64x16::splat(0.0));
+        let rests = weight.eq(zero);
+        let squares = <F64x16 as InMemory>::load::<S>(self.squares);
+        let weighted = error * weight;
+        <F64x16 as InMemory>::store::<S>(self.squares, squares + error * weighted);
+        let mut at = 0;
+        for (i, by) in row.iter().enumerate() {
+            let by = Scalar::select(rests, zero, *by);
+            // The residual is the reading less the prediction.
+            gradient[i] -= by * weighted;
+            let scaled = by * weight;
+            for other in &row[..=i] {
+                let other = Scalar::select(rests, zero, *other);
+                information[at] += scaled * other;
+                at += 1;
             }
         }
     }

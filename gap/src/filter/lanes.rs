@@ -1,0 +1,213 @@
+//! The covariance recursion of the filter on lanes.
+
+use parallax_model::Scalar;
+use parallax_model::lanes::{F64x16, InMemory, Kernel, Simd};
+
+use super::{NOTHING, Tape, Tick};
+use crate::simulator::{LANES, Motion};
+
+/// P ← Φ P Φᵀ + dt (Φ_½ B Φ_½ᵀ), with Φ_½ = (I + Φ)/2: the noise enters, on average, in the middle of the step.
+#[inline(always)]
+fn propagate<T: Scalar>(n: usize, phi: &[T], dt: T, intensity: &[f64], p: &mut [T], scratch: &mut [T]) {
+    let zero = T::constant(0.0);
+    let (moved, half) = scratch.split_at_mut(n * n);
+    for i in 0..n {
+        for j in 0..n {
+            let mut sum = zero;
+            for k in 0..n {
+                sum += phi[i * n + k] * p[k * n + j];
+            }
+            moved[i * n + j] = sum;
+            half[i * n + j] = (phi[i * n + j] + f64::from(u8::from(i == j))) * 0.5;
+        }
+    }
+    for i in 0..n {
+        for j in 0..=i {
+            let (mut value, mut added) = (zero, zero);
+            for k in 0..n {
+                value += moved[i * n + k] * phi[j * n + k];
+                if intensity[k] > 0.0 {
+                    added += half[i * n + k] * half[j * n + k] * intensity[k];
+                }
+            }
+            value += dt * added;
+            p[i * n + j] = value;
+            p[j * n + i] = value;
+        }
+    }
+}
+
+/// Variance of the innovation of a reading with gradient `h`; the gain of lanes that read, zero in the others.
+#[inline(always)]
+fn innovate<T: Scalar>(n: usize, h: &[T], noise: T, rests: T::Mask, p: &[T], gain: &mut [T]) -> T {
+    let zero = T::constant(0.0);
+    let mut variance = noise;
+    for i in 0..n {
+        let mut sum = zero;
+        for j in 0..n {
+            sum += p[i * n + j] * h[j];
+        }
+        gain[i] = sum;
+        variance += h[i] * sum;
+    }
+    for g in gain.iter_mut() {
+        *g = T::select(rests, zero, *g / variance);
+    }
+    variance
+}
+
+/// P ← P − K s Kᵀ in the lanes that read.
+#[inline(always)]
+fn update<T: Scalar>(n: usize, gain: &[T], variance: T, rests: T::Mask, p: &mut [T]) {
+    let zero = T::constant(0.0);
+    for i in 0..n {
+        let scaled = T::select(rests, zero, gain[i] * variance);
+        for j in 0..n {
+            p[i * n + j] -= scaled * gain[j];
+        }
+        // Rounding must not make a variance negative where the reading pins the state down.
+        p[i * n + i] = p[i * n + i].max(zero);
+    }
+}
+
+/// A step of the covariance.
+pub(super) struct Covariance<'a> {
+    pub(super) by_state: &'a [F64x16],
+    pub(super) dt: &'a F64x16,
+    pub(super) intensity: &'a [f64],
+    pub(super) covariance: &'a mut [F64x16],
+    pub(super) scratch: &'a mut [F64x16],
+}
+
+impl Kernel for Covariance<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self) {
+        propagate(
+            self.intensity.len(),
+            F64x16::registers::<S>(self.by_state),
+            <F64x16 as InMemory>::load::<S>(self.dt),
+            self.intensity,
+            F64x16::registers_mut::<S>(self.covariance),
+            F64x16::registers_mut::<S>(self.scratch),
+        );
+    }
+}
+
+/// A reading corrects the states and their sensitivities; gives the innovation's variance.
+pub(super) struct Read<'a> {
+    /// Derivatives of the prediction by the states, then by θ.
+    pub(super) row: &'a [F64x16],
+    pub(super) innovation: &'a F64x16,
+    pub(super) noise: &'a F64x16,
+    /// 1 in the lanes that read.
+    pub(super) active: &'a F64x16,
+    pub(super) motion: &'a mut Motion,
+    pub(super) covariance: &'a mut [F64x16],
+    pub(super) gain: &'a mut [F64x16],
+}
+
+impl Kernel for Read<'_> {
+    type Output = F64x16;
+
+    #[inline(always)]
+    fn run<S: Simd>(self) -> F64x16 {
+        let n = self.gain.len();
+        let columns = self.motion.columns;
+        let row = F64x16::registers::<S>(self.row);
+        let gain = F64x16::registers_mut::<S>(self.gain);
+        let p = F64x16::registers_mut::<S>(self.covariance);
+        let x = F64x16::registers_mut::<S>(&mut self.motion.x);
+        let by = F64x16::registers_mut::<S>(&mut self.motion.by);
+        let innovation = <F64x16 as InMemory>::load::<S>(self.innovation);
+        let rests = <F64x16 as InMemory>::load::<S>(self.active)
+            .eq(<F64x16 as InMemory>::load::<S>(&F64x16::splat(0.0)));
+        let noise = <F64x16 as InMemory>::load::<S>(self.noise);
+        let variance = innovate(n, &row[..n], noise, rests, p, gain);
+        for i in 0..n {
+            x[i] += gain[i] * innovation;
+            for (to, d) in by[i * columns + n..(i + 1) * columns].iter_mut().zip(&row[n..]) {
+                // The innovation is the reading less the prediction.
+                *to -= gain[i] * *d;
+            }
+        }
+        update(n, gain, variance, rests, p);
+        let mut out = F64x16::splat(0.0);
+        <F64x16 as InMemory>::store::<S>(&mut out, variance);
+        out
+    }
+}
+
+/// −2 log likelihood of a tape at another noise, lane by lane.
+pub(super) struct CostAt<'a> {
+    pub(super) tape: &'a Tape,
+    pub(super) states: usize,
+    pub(super) intensity: &'a [f64],
+    pub(super) output: &'a [f64],
+}
+
+impl Kernel for CostAt<'_> {
+    type Output = F64x16;
+
+    #[inline(always)]
+    fn run<S: Simd>(self) -> F64x16 {
+        let n = self.states;
+        let numbers = F64x16::registers::<S>(&self.tape.numbers);
+        let zero = <F64x16 as InMemory>::load::<S>(&F64x16::splat(0.0));
+        let mut p = vec![zero; n * n];
+        for (i, variance) in F64x16::registers::<S>(&self.tape.start_variance).iter().enumerate() {
+            p[i * n + i] = *variance;
+        }
+        let mut scratch = vec![zero; 2 * n * n];
+        // Deviation from the stored walk, which follows the stored gains.
+        let mut deviation = vec![zero; n];
+        let mut moved = vec![zero; n];
+        let mut gain = vec![zero; n];
+        let mut cost = zero;
+        for tick in &self.tape.ticks {
+            match tick {
+                Tick::Advance { dt, by_state } => {
+                    let phi = &numbers[*by_state..*by_state + n * n];
+                    let dt = <F64x16 as InMemory>::load::<S>(dt);
+                    propagate(n, phi, dt, self.intensity, &mut p, &mut scratch);
+                    for i in 0..n {
+                        let mut sum = zero;
+                        for k in 0..n {
+                            sum += phi[i * n + k] * deviation[k];
+                        }
+                        moved[i] = sum;
+                    }
+                    deviation.copy_from_slice(&moved);
+                }
+                Tick::Read { by_state, gain: stored, innovation, output, counts } => {
+                    let (mut noise, mut active) = (F64x16::splat(1.0), F64x16::splat(0.0));
+                    for lane in (0..LANES).filter(|lane| output[*lane] != NOTHING) {
+                        noise[lane] = self.output[output[lane] as usize];
+                        active[lane] = 1.0;
+                    }
+                    let rests = <F64x16 as InMemory>::load::<S>(&active).eq(zero);
+                    let noise = <F64x16 as InMemory>::load::<S>(&noise);
+                    let recorded = <F64x16 as InMemory>::load::<S>(innovation);
+                    let h = &numbers[*by_state..*by_state + n];
+                    let variance = innovate(n, h, noise, rests, &p, &mut gain);
+                    let mut innovation = recorded;
+                    for i in 0..n {
+                        innovation -= h[i] * deviation[i];
+                    }
+                    for i in 0..n {
+                        let change = gain[i] * innovation - numbers[stored + i] * recorded;
+                        deviation[i] += Scalar::select(rests, zero, change);
+                    }
+                    update(n, &gain, variance, rests, &mut p);
+                    let ignored = <F64x16 as InMemory>::load::<S>(counts).eq(zero);
+                    let term = innovation * innovation / variance + variance.ln();
+                    cost += Scalar::select(ignored, zero, term);
+                }
+            }
+        }
+        let mut out = F64x16::splat(0.0);
+        <F64x16 as InMemory>::store::<S>(&mut out, cost);
+        out
+    }
+}
