@@ -14,6 +14,8 @@ use crate::hypothesis::{EffectAt, Slot};
 use crate::innovation::walk;
 use crate::library;
 use crate::maps;
+pub use crate::options::Options;
+use crate::options::OptionsError;
 use crate::posterior::{self, Answer};
 use crate::quantify::{self, Row};
 use crate::report::{
@@ -25,27 +27,15 @@ use crate::setup::Setup;
 use crate::signature::{self, Nuisance};
 use crate::unknown;
 
-/// What a caller may choose.
-#[derive(Clone, Debug)]
-pub struct Options {
-    /// Length of windows and predictions (s); by default a quarter of a second, or ten samples if that is longer.
-    pub horizon: Option<f64>,
-    /// Seed of the simulated nulls and bootstraps.
-    pub seed: u64,
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        Options { horizon: None, seed: 1 }
-    }
-}
-
 /// Why a diagnosis could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum DiagnosisError {
     /// System and recording do not fit.
     #[error(transparent)]
     Bind(#[from] BindError),
+    /// A choice of effects that this system cannot follow.
+    #[error(transparent)]
+    Options(#[from] OptionsError),
     /// The system already states effects, which this version does not fit on top of.
     #[error("{file}: the system contains {count} [[effect]] entries; diagnose the nominal file without them")]
     HasEffects {
@@ -167,6 +157,7 @@ pub fn diagnose_experiment(
     }
     let nuisance = Nuisance::new(&null);
     let (candidates, mut not_testable) = library::candidates(&setup);
+    let candidates = chosen(candidates, &mut not_testable, options)?;
     let (candidates, columns, absorbed) = screen(&setup, &null, &nuisance, candidates, &mut not_testable);
 
     let done = std::sync::atomic::AtomicUsize::new(0);
@@ -176,7 +167,7 @@ pub fn diagnose_experiment(
     });
     progress(0.5, "unknown cause");
     let weighed = std::sync::atomic::AtomicUsize::new(0);
-    let answers = posterior::weigh(&setup, &null, &nuisance, fits, &|label| {
+    let answers = posterior::weigh(&setup, &null, &nuisance, fits, options, &|label| {
         let k = weighed.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
         progress(0.5 + 0.1 * k as f64, label);
     });
@@ -195,6 +186,24 @@ struct Found {
     p_value: f64,
     not_testable: Vec<library::NotTestable>,
     absorbed: Vec<Absorbed>,
+}
+
+/// The effects that the user lets be tried; the others are listed as not tested.
+fn chosen(
+    candidates: Vec<EffectAt>,
+    not_testable: &mut Vec<library::NotTestable>,
+    options: &Options,
+) -> Result<Vec<EffectAt>, OptionsError> {
+    let known: Vec<EffectAt> =
+        candidates.iter().chain(not_testable.iter().map(|n| &n.effect)).cloned().collect();
+    options.check(&known)?;
+    not_testable.retain(|n| options.allows(&n.effect));
+    let (kept, left_out) = candidates.into_iter().partition(|at| options.allows(at));
+    not_testable.extend(
+        Vec::into_iter(left_out)
+            .map(|effect| library::NotTestable { effect, reason: "you left it out".into() }),
+    );
+    Ok(kept)
 }
 
 /// Share of a sensitivity's length that must be left beyond the calibrated parameters for an effect to be its own.

@@ -78,6 +78,7 @@ pub mod library;
 pub mod maps;
 pub mod machine;
 pub mod noise;
+pub mod options;
 pub mod plot;
 pub mod posterior;
 pub mod quantify;

@@ -3,6 +3,7 @@
 use nalgebra::DVector;
 
 use crate::hypothesis::EffectAt;
+use crate::options::Options;
 use crate::search::{Fit, INEXACT};
 use crate::setup::Setup;
 use crate::signature::{self, Nuisance, SAME};
@@ -72,11 +73,13 @@ pub fn weigh(
     null: &Fit,
     nuisance: &Nuisance,
     mut fits: Vec<Fit>,
+    options: &Options,
     done: &(dyn Fn(&str) + Sync),
 ) -> Posterior {
     let judge = Judge::new(null, &fits);
     fits.sort_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
-    let each = (1.0 - PRIOR_NO_GAP - PRIOR_UNKNOWN) / fits.len().max(1) as f64;
+    let weight = |fit: &Fit| fit.hypothesis.effects.iter().map(|at| options.weight(at)).product::<f64>();
+    let each = (1.0 - PRIOR_NO_GAP - PRIOR_UNKNOWN) / fits.iter().map(weight).sum::<f64>().max(1e-300);
 
     // The unknowns stand alone and on top of the leading effect: if the effect adds nothing to them, it is no cause.
     let alone: Vec<Fit> = unknown::kinds(setup)
@@ -101,10 +104,10 @@ pub fn weigh(
 
     let log_weight =
         |fit: &Fit, prior: f64| -0.5 * (judge.cost(fit) - judge.cost(null)) / TEMPERATURE + prior.ln();
-    let mut logs: Vec<f64> = fits.iter().map(|f| log_weight(f, each)).collect();
+    let mut logs: Vec<f64> = fits.iter().map(|f| log_weight(f, each * weight(f))).collect();
     // What a residual adds to the leader counts for the leader.
     if let (Some(first), Some(together)) = (logs.first_mut(), &together) {
-        *first = first.max(log_weight(together, each * PRIOR_UNKNOWN));
+        *first = first.max(log_weight(together, each * weight(&fits[0]) * PRIOR_UNKNOWN));
     }
     let log_null = PRIOR_NO_GAP.ln();
     let log_unknown = alone.as_ref().map_or(f64::NEG_INFINITY, |fit| log_weight(fit, PRIOR_UNKNOWN));

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow};
 use clap::Args;
 use parallax_gap::diagnosis::{Diagnosis, Options, diagnose};
+use parallax_gap::options::{Pattern, Prior};
 use parallax_gap::report::{Report, html, svg, text};
 use parallax_model::system::System;
 use parallax_runtime::import::{self, read_system_text};
@@ -31,6 +32,15 @@ pub(crate) struct Arguments {
     /// Seed of the simulated comparisons.
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Do not try this effect: an effect, a place or both (coulomb, joint:axis, delay@input:u). Repeatable.
+    #[arg(long, value_name = "EFFECT[@PLACE]")]
+    exclude: Vec<Pattern>,
+    /// Try this effect, and others only if named too. Repeatable.
+    #[arg(long, value_name = "EFFECT[@PLACE]")]
+    only: Vec<Pattern>,
+    /// How likely an effect is beforehand, against 1 for every other (coulomb@joint:axis=5). Repeatable.
+    #[arg(long, value_name = "EFFECT[@PLACE]=WEIGHT")]
+    prior: Vec<Prior>,
     /// Print report.json instead of the short answer.
     #[arg(long)]
     json: bool,
@@ -47,7 +57,14 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         return Err(Failure::input(anyhow!("--horizon must be above zero and finite")));
     }
     let loaded = Loaded::read(path, arguments.system.as_deref())?;
-    let options = Options { horizon: arguments.horizon, seed: arguments.seed };
+    let options = Options {
+        horizon: arguments.horizon,
+        seed: arguments.seed,
+        exclude: arguments.exclude.clone(),
+        only: arguments.only.clone(),
+        priors: arguments.prior.clone(),
+        ..Options::default()
+    };
     let report = loaded.diagnose(&options, &arguments.out)?;
     if arguments.json {
         output::json(&report)?;
