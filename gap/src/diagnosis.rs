@@ -19,11 +19,12 @@ use crate::options::OptionsError;
 use crate::posterior::{self, Answer};
 use crate::quantify::{self, Row};
 use crate::report::{
-    Absorbed, Calibration, Confusable, FittedEffect, Gap, HowFar, NotTestable, Overlay, Report, Unexplained,
-    Value, Where, Which,
+    Absorbed, Calibration, Confusable, FittedEffect, Gap, HowFar, NotTestable, Overlay, Report, Split,
+    Unexplained, Value, Where, Which,
 };
 use crate::search::{self, Fit};
 use crate::setup::Setup;
+use crate::shapley;
 use crate::signature::{self, Nuisance};
 use crate::unknown;
 
@@ -284,6 +285,11 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
         noise_floor: 1.0,
         closed_total: quantify::closed(&nominal, &with_effect, options.seed),
         closed_by_effect: quantify::closed(&refitted, &with_effect, options.seed),
+        split: if detected && named {
+            split(setup, &null, best, &refitted, &with_effect)
+        } else {
+            Vec::new()
+        },
     };
     let gap_square = (refitted.mean_square() - 1.0).max(1e-12);
     let left = (with_effect.mean_square() - black_box.mean_square()).max(0.0);
@@ -323,6 +329,31 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
     };
     diagnosis.report.summary = crate::report::sentence::summary(&diagnosis.report);
     diagnosis
+}
+
+/// What each of several effects closes; nothing for one.
+fn split(setup: &Setup, null: &Fit, best: &Fit, refitted: &Row, with_effect: &Row) -> Vec<Split> {
+    let effects = &best.hypothesis.effects;
+    if effects.len() < 2 {
+        return Vec::new();
+    }
+    let gap = (refitted.mean_square() - 1.0).max(1e-12);
+    let closed = |row: &Row| (refitted.mean_square() - row.mean_square().max(1.0)) / gap;
+    let gain = |set: usize| {
+        let chosen: Vec<EffectAt> =
+            effects.iter().enumerate().filter(|(k, _)| set >> k & 1 == 1).map(|(_, e)| e.clone()).collect();
+        if chosen.is_empty() {
+            0.0
+        } else if chosen.len() == effects.len() {
+            closed(with_effect)
+        } else {
+            let fit = search::fit_hypothesis(setup, null, library::hypothesis(setup, &chosen), Vec::new());
+            let simulator = library::simulator(setup, &fit.hypothesis, Vec::new());
+            closed(&quantify::predict(setup, &simulator, fit.estimate(), &fit.innovation.noise))
+        }
+    };
+    let shares = shapley::values(effects.len(), gain);
+    effects.iter().zip(shares).map(|(e, share)| Split { effect: e.label(), share }).collect()
 }
 
 fn calibration(setup: &Setup, fit: &Fit) -> Vec<Calibration> {

@@ -178,6 +178,19 @@ pub struct HowFar {
     pub closed_total: Interval,
     /// The same from the refitted row.
     pub closed_by_effect: Interval,
+    /// Where the leading answer has several effects: what each of them closes (Shapley's value). The parts sum to
+    /// `closed_by_effect`.
+    #[serde(default)]
+    pub split: Vec<Split>,
+}
+
+/// The part of one effect in what several close together.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Split {
+    /// The effect and its place.
+    pub effect: String,
+    /// Its part of the refitted gap.
+    pub share: f64,
 }
 
 /// A value with its 95 % interval.

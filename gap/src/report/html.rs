@@ -247,7 +247,7 @@ fn how_far(report: &Report) -> String {
             &how_far.closed_total
         ),
         closed("Closed by the effect", "of what calibration alone leaves", &how_far.closed_by_effect),
-        report.corrected_system.as_ref().map_or(String::new(), |path| format!(
+        split(how_far) + &report.corrected_system.as_ref().map_or(String::new(), |path| format!(
             "<p>The corrected system, with the effect added and the calibrated values set: <code>{}</code></p>\n",
             escape(path)
         )),
@@ -258,6 +258,26 @@ fn how_far(report: &Report) -> String {
          residual on top of the effect: what it gains is still unexplained."
     );
     section("How far it goes", &note, &content)
+}
+
+/// What each of several effects closes.
+fn split(how_far: &super::HowFar) -> String {
+    if how_far.split.is_empty() {
+        return String::new();
+    }
+    let row = |part: &super::Split| {
+        format!(
+            "<span><code>{}</code></span>{}<b class=\"number\">{}</b>\n",
+            escape(&part.effect),
+            bars::share(part.share, "bar-after", None),
+            set(&format::share(part.share)),
+        )
+    };
+    let rows: String = how_far.split.iter().map(row).collect();
+    format!(
+        "<p class=\"note\">What each effect closes of it, averaged over the orders in which they may be added:</p>\n\
+         <div class=\"pairbar long\">{rows}</div>\n"
+    )
 }
 
 fn calibration(report: &Report) -> String {

@@ -2,7 +2,7 @@
 
 use parallax_model::effect::Effect;
 
-use super::{Report, format};
+use super::{FittedEffect, Report, format};
 
 /// Where the gap lies, what causes it and how far that closes it, in one sentence.
 #[must_use]
@@ -15,7 +15,7 @@ pub fn summary(report: &Report) -> String {
         );
     }
     let leader = report.which.iter().find(|w| !w.effects.is_empty());
-    let Some((leader, effect)) = leader.and_then(|w| Some((w, w.effects.first()?))) else {
+    let Some(leader) = leader else {
         return format!("There is a gap of {score} times the sensor noise, and no effect could be tested.");
     };
     if report.unexplained.probability > leader.probability {
@@ -24,17 +24,13 @@ pub fn summary(report: &Report) -> String {
             format::number(100.0 * report.unexplained.probability, 2)
         );
     }
-    let what = Effect::from_name(&effect.name).map_or("departs from the model", Effect::sentence);
-    let parameters: Vec<String> = effect
-        .parameters
-        .iter()
-        .map(|(name, value)| format!("{name} {}", format::uncertain(value)))
-        .collect();
+    let causes: Vec<String> = leader.effects.iter().map(cause).collect();
+    let this = if causes.len() > 1 { "these" } else { "this" };
     let closed = report.how_far.closed_by_effect.value;
     let closes = if closed > 0.0 {
-        format!("adding this closes {} % of it on held-out time", format::number(100.0 * closed, 3))
+        format!("adding {this} closes {} % of it on held-out time", format::number(100.0 * closed, 3))
     } else {
-        "but adding this closes nothing of it on held-out time".to_owned()
+        format!("but adding {this} closes nothing of it on held-out time")
     };
     let unsure = if leader.probability < 0.9 {
         format!(" (probability {} %)", format::number(100.0 * leader.probability, 2))
@@ -46,11 +42,28 @@ pub fn summary(report: &Report) -> String {
         Some([_, _, ..]) => format!("; this data cannot tell it from {} others", leader.class.len() - 1),
         _ => String::new(),
     };
-    let rest = if report.unexplained.share > 0.1 { "; more remains" } else { "" };
-    format!(
-        "The gap lies at {}, which {what} ({}, {}){unsure}; {closes}{rest}{others}.",
-        effect.place,
-        effect.name,
-        parameters.join(", ")
-    )
+    let rest = if report.unexplained.share > MUCH {
+        "; more remains"
+    } else if closed > 0.0 && report.how_far.with_effect < NEAR * report.how_far.noise_floor {
+        "; nothing else is needed"
+    } else {
+        ""
+    };
+    format!("The gap lies at {}{unsure}; {closes}{rest}{others}.", causes.join(", and at "))
+}
+
+/// Share of the gap beyond the best answer from which the sentence says so.
+const MUCH: f64 = 0.1;
+/// Error of predictions, over the noise floor, below which nothing is left to explain.
+const NEAR: f64 = 1.2;
+
+/// `input:goal, which acts late (delay, delay 0.041 ± 0.001 s)`.
+fn cause(effect: &FittedEffect) -> String {
+    let what = Effect::from_name(&effect.name).map_or("departs from the model", Effect::sentence);
+    let parameters: Vec<String> = effect
+        .parameters
+        .iter()
+        .map(|(name, value)| format!("{name} {}", format::uncertain(value)))
+        .collect();
+    format!("{}, which {what} ({}, {})", effect.place, effect.name, parameters.join(", "))
 }

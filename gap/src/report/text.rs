@@ -103,6 +103,14 @@ fn how_far(lines: &mut Lines, report: &Report) {
         text.push_str(&format!(", {} by the effect", closed(&how_far.closed_by_effect)));
     }
     lines.put("", 2, &text);
+    if !how_far.split.is_empty() {
+        let parts: Vec<String> = how_far
+            .split
+            .iter()
+            .map(|part| format!("{} {}", part.effect, format::share(part.share)))
+            .collect();
+        lines.put("", 2, &format!("  of that {}", parts.join(", ")));
+    }
 }
 
 /// Parameters that moved first; the rest as far as six lines go.

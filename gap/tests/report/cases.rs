@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use parallax_gap::maps::{Bin, Map};
 use parallax_gap::report::{
     Absorbed, Calibration, Confusable, FittedEffect, Gap, HowFar, Interval, NotTestable, Overlay, Report,
-    Unexplained, Value, Where, Which,
+    Split, Unexplained, Value, Where, Which, sentence,
 };
 
 /// An effect with parameters as (name, value, std, unit).
@@ -109,9 +109,21 @@ pub(crate) fn one_effect() -> Report {
             noise_floor: 1.0,
             closed_total: interval(0.9992, 0.998, 0.9997),
             closed_by_effect: interval(0.9957, 0.992, 0.998),
+            split: vec![],
         },
         corrected_system: Some("out/servo/system.corrected.toml".to_owned()),
     }
+}
+
+/// A servo with two causes.
+pub(crate) fn two_effects() -> Report {
+    let mut report = one_effect();
+    report.which[0].effects.push(effect("coulomb", "joint:shaft", &[("force", 0.07, 0.02, "N m")]));
+    report.which[0].class = vec!["delay@input:goal + coulomb@joint:shaft".to_owned()];
+    let part = |effect: &str, share| Split { effect: effect.to_owned(), share };
+    report.how_far.split = vec![part("delay@input:goal", 0.71), part("coulomb@joint:shaft", 0.2857)];
+    report.summary = sentence::summary(&report);
+    report
 }
 
 /// Everything as the system says.
@@ -135,6 +147,7 @@ pub(crate) fn no_gap() -> Report {
         noise_floor: 1.0,
         closed_total: interval(0.94, 0.81, 1.0),
         closed_by_effect: interval(f64::NAN, f64::NAN, f64::NAN),
+        split: vec![],
     };
     report.corrected_system = None;
     report
@@ -181,6 +194,7 @@ pub(crate) fn extreme() -> Report {
         noise_floor: 1.0,
         closed_total: interval(-1e200, f64::NEG_INFINITY, f64::NAN),
         closed_by_effect: interval(1.0, 1.0, 1.0),
+        split: vec![],
     };
     report.calibration.push(calibration("k", 0.0, 1.234e19, 3e17, "N/m"));
     report.calibration.push(calibration("c", f64::NAN, f64::INFINITY, f64::NAN, ""));

@@ -204,6 +204,7 @@ fn the_figure_stands_alone() {
 #[test]
 fn the_short_answer() {
     insta::assert_snapshot!("one_effect", text::summary(&cases::one_effect()));
+    insta::assert_snapshot!("two_effects", text::summary(&cases::two_effects()));
     insta::assert_snapshot!("no_gap", text::summary(&cases::no_gap()));
     insta::assert_snapshot!("none_of_these", text::summary(&cases::none_of_these()));
     insta::assert_snapshot!("extreme", text::summary(&cases::extreme()));
