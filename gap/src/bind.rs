@@ -3,7 +3,7 @@
 use parallax_model::system::{Equations, System, SystemError};
 use parallax_runtime::recording::log::{Log, Role, Signal, UnknownSignal};
 
-use crate::experiment::{Experiment, Held, Sample};
+use crate::experiment::{Experiment, Held, Sample, SupplyVoltage};
 
 /// Why a system and a log do not fit together.
 #[derive(Debug, thiserror::Error)]
@@ -120,6 +120,15 @@ pub fn bind(system: &System, log: &Log) -> Result<(Equations, Experiment), BindE
         held.times.extend(signal.times.iter().map(|t| seconds(*t)));
         experiment.inputs.push(held);
         experiment.input_units.push(signal.unit.clone());
+        let supply = input.supply.as_ref().map(|stated| {
+            let signal = find("the supply of input", &input.name, &stated.signal)?;
+            let voltage = Held {
+                times: signal.times.iter().map(|t| seconds(*t)).collect(),
+                values: signal.values.clone(),
+            };
+            Ok::<_, BindError>(SupplyVoltage { voltage, nominal: stated.nominal })
+        });
+        experiment.supplies.push(supply.transpose()?);
     }
     for (index, output) in system.outputs.iter().enumerate() {
         let signal = find("output", &output.name, &output.signal)?;

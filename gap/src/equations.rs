@@ -7,11 +7,13 @@
 use std::sync::{Arc, OnceLock};
 
 use parallax_model::Dual;
-use parallax_model::effect::{Effect, PlaceKind, lag_step};
+use parallax_model::effect::PlaceKind;
 use parallax_model::lanes::F64x16;
 use parallax_model::plant::Plant;
 use parallax_model::program::Program;
+use parallax_model::system::Point;
 
+use crate::commands::{self, Change};
 use crate::experiment::Experiment;
 use crate::hypothesis::Slot;
 use crate::machine::{Drive, Field, Layout, Machine};
@@ -35,6 +37,8 @@ pub struct EquationsSimulator<'a> {
     plain: OnceLock<Field>,
     /// The events where they do not depend on θ; made when they are asked for.
     events: OnceLock<Arc<Table>>,
+    /// Standard deviations of the states beyond the nominal ones, where a stretch begins.
+    extra_std: Vec<f64>,
 }
 
 impl<'a> EquationsSimulator<'a> {
@@ -57,15 +61,24 @@ impl<'a> EquationsSimulator<'a> {
             }
             theta
         };
+        let plant = plant.with_step(step);
         let full = field(&plant, experiment, &theta, !timed.is_empty());
         let (plain, events) = (OnceLock::new(), OnceLock::new());
-        EquationsSimulator { plant, slots, experiment, step, timed, full, plain, events }
+        let extra_std = vec![1.0; plant.extra_states().len()];
+        EquationsSimulator { plant, slots, experiment, step, timed, full, plain, events, extra_std }
+    }
+
+    /// The same simulator with standard deviations for the states that effects bring with them, in the plant's order.
+    #[must_use]
+    pub fn with_extra_std(mut self, std: Vec<f64>) -> Self {
+        self.extra_std = std;
+        self
     }
 
     fn walk<'b>(&'b self, theta: &[f64], full: bool) -> Box<dyn Run + 'b> {
         let mut parameters = self.plant.equations().nominal();
         let first_extra = parameters.len();
-        parameters.resize(first_extra + self.plant.extra_parameters(), 0.0);
+        parameters.extend(self.plant.extra_values());
         for (slot, value) in self.slots.iter().zip(theta) {
             parameters[position(&self.plant, slot)] = *value;
         }
@@ -106,30 +119,36 @@ fn position(plant: &Plant, slot: &Slot) -> usize {
     match *slot {
         Slot::Nominal(index) => index,
         Slot::Effect { effect, parameter } => nominal + plant.effects()[effect].first + parameter,
-        Slot::Weight(index) => {
-            nominal + plant.effects().iter().map(|b| b.effect.parameters().len()).sum::<usize>() + index
-        }
+        Slot::Weight(index) => nominal + plant.first_weight() + index,
     }
 }
 
 fn field(plant: &Plant, experiment: &Experiment, theta: &[Option<usize>], driven: bool) -> Field {
     let outputs: Vec<Program> =
         (0..experiment.wraps.len()).map(|output| plant.output_program(output)).collect();
-    let layout = Layout {
-        parameters: theta.len(),
-        states: plant.equations().system().states.len(),
-        commands: experiment.inputs.len(),
-    };
+    let layout =
+        Layout { parameters: theta.len(), states: plant.states(), commands: experiment.inputs.len() };
     Field::new(&plant.derivative_program(), &outputs, layout, theta, driven)
 }
 
 impl Simulator for EquationsSimulator<'_> {
     fn states(&self) -> usize {
-        self.plant.equations().system().states.len()
+        self.plant.states()
     }
 
     fn parameters(&self) -> usize {
         self.slots.len()
+    }
+
+    fn start(&self, state: &[f64], std: &[f64], time: f64) -> (Vec<f64>, Vec<f64>) {
+        let n = self.plant.equations().system().states.len();
+        if state.len() == self.plant.states() {
+            return (state.to_vec(), std.to_vec());
+        }
+        let inputs: Vec<f64> = self.experiment.inputs.iter().map(|held| held.at(time)).collect();
+        let parameters = self.plant.equations().nominal();
+        let point = Point { parameters: &parameters, states: &state[..n], inputs: &inputs, time };
+        (self.plant.start(&point), std[..n].iter().chain(&self.extra_std).copied().collect())
     }
 
     fn run<'a>(&'a self, theta: &[f64]) -> Box<dyn Run + 'a> {
@@ -139,13 +158,6 @@ impl Simulator for EquationsSimulator<'_> {
     fn run_at<'a>(&'a self, theta: &[f64]) -> Box<dyn Run + 'a> {
         self.walk(theta, false)
     }
-}
-
-/// A command's value from a time on.
-#[derive(Clone, Copy)]
-struct Change<const N: usize> {
-    time: Dual<N>,
-    value: Dual<N>,
 }
 
 /// Events and commands at given parameters, with derivatives by the entries of θ that they depend on.
@@ -174,9 +186,8 @@ fn table<const N: usize>(simulator: &EquationsSimulator<'_>, theta: &[f64], extr
     let count = simulator.timed.len().min(N);
     let extra = variables;
     let inputs = experiment.inputs.len();
-    let changes: Vec<Vec<Change<N>>> = (0..inputs).map(|i| changes(simulator, &extra, i)).collect();
-    let late: Vec<Option<Dual<N>>> = (0..experiment.wraps.len())
-        .map(|output| find(&simulator.plant, &extra, Effect::Delay, PlaceKind::Output, output).map(|p| p[0]))
+    let changes: Vec<Vec<Change<N>>> = (0..inputs)
+        .map(|i| commands::changes(&simulator.plant, experiment, simulator.step, &extra, i))
         .collect();
     enum What {
         Change,
@@ -188,8 +199,7 @@ fn table<const N: usize>(simulator: &EquationsSimulator<'_>, theta: &[f64], extr
         all.extend(channel.iter().map(|c| (c.time, What::Change)));
     }
     for sample in &experiment.samples {
-        let stamp = Dual::from_value(sample.stamp);
-        let time = late[sample.output].map_or(stamp, |delay| stamp - delay);
+        let time = commands::taken(&simulator.plant, &extra, sample.output, sample.stamp);
         let reading = Reading { output: sample.output, value: sample.value, stamp: sample.stamp };
         all.push((time, What::Reading(reading)));
     }
@@ -229,51 +239,6 @@ struct EquationsRun<'a> {
     drive: Drive,
     table: Arc<Table>,
     scratch: Vec<F64x16>,
-}
-
-fn find<'e, T>(
-    plant: &Plant,
-    extra: &'e [T],
-    effect: Effect,
-    kind: PlaceKind,
-    index: usize,
-) -> Option<&'e [T]> {
-    let bound = plant.effects().iter().find(|b| b.effect == effect && b.kind == kind && b.index == index)?;
-    Some(&extra[bound.first..bound.first + effect.parameters().len()])
-}
-
-/// The command as it reaches the plant: late, changed in value, smoothed.
-fn changes<const N: usize>(
-    simulator: &EquationsSimulator<'_>,
-    extra: &[Dual<N>],
-    input: usize,
-) -> Vec<Change<N>> {
-    let plant = &simulator.plant;
-    let held = &simulator.experiment.inputs[input];
-    let delay = find(plant, extra, Effect::Delay, PlaceKind::Input, input).map(|p| p[0]);
-    let lag = find(plant, extra, Effect::Lag, PlaceKind::Input, input).map(|p| p[0]);
-    let late = |time: f64| delay.map_or(Dual::from_value(time), |d| d + time);
-    let mut out = Vec::with_capacity(held.times.len());
-    let mut smooth: Option<Dual<N>> = None;
-    for (k, (&time, &value)) in held.times.iter().zip(&held.values).enumerate() {
-        let value = plant.command(input, extra, Dual::from_value(value));
-        let Some(tau) = lag else {
-            out.push(Change { time: late(time), value });
-            continue;
-        };
-        let state = smooth.get_or_insert(value);
-        // After the last command the smoothed one keeps settling; five time constants are enough.
-        let until = held.times.get(k + 1).copied().unwrap_or(time + 5.0 * tau.value + simulator.step);
-        // The mean of a smoothed command stands for it over a piece, so pieces are shorter than steps.
-        let pieces = (2.0 * (until - time) / simulator.step - 1e-6).ceil().max(1.0);
-        let dt = (until - time) / pieces;
-        for piece in 0..pieces as usize {
-            let (mean, end) = lag_step(tau, *state, value, Dual::from_value(dt));
-            out.push(Change { time: late(time + dt * piece as f64), value: mean });
-            *state = end;
-        }
-    }
-    out
 }
 
 impl EquationsRun<'_> {

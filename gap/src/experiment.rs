@@ -25,6 +25,8 @@ pub struct Sample {
 pub struct Experiment {
     /// One per input of the system.
     pub inputs: Vec<Held>,
+    /// The voltage behind each input that has one; may be shorter than `inputs`.
+    pub supplies: Vec<Option<SupplyVoltage>>,
     /// Unit of each input, a label; empty where the log states none.
     pub input_units: Vec<String>,
     /// All readings in the order of their stamps, then of their outputs.
@@ -39,6 +41,23 @@ impl Held {
     pub fn at(&self, time: f64) -> f64 {
         let after = self.times.partition_point(|t| *t <= time);
         self.values.get(after.saturating_sub(1)).copied().unwrap_or(0.0)
+    }
+}
+
+/// A recorded voltage behind an input.
+#[derive(Clone, Debug, Default)]
+pub struct SupplyVoltage {
+    /// The voltage, held from each stamp until the next.
+    pub voltage: Held,
+    /// The voltage at which the input acts as the equations say.
+    pub nominal: f64,
+}
+
+impl SupplyVoltage {
+    /// The voltage at a time, as a share of the nominal one; never below a hundredth.
+    #[must_use]
+    pub fn ratio(&self, time: f64) -> f64 {
+        (self.voltage.at(time) / self.nominal).max(0.01)
     }
 }
 
@@ -84,6 +103,12 @@ impl Held {
 }
 
 impl Experiment {
+    /// The voltage behind an input.
+    #[must_use]
+    pub fn supply(&self, input: usize) -> Option<&SupplyVoltage> {
+        self.supplies.get(input)?.as_ref()
+    }
+
     /// Stamps of the first and the last reading (s).
     #[must_use]
     pub fn span(&self) -> (f64, f64) {

@@ -66,6 +66,7 @@
 //! ```
 
 pub mod bind;
+pub mod commands;
 pub mod detect;
 pub mod diagnosis;
 pub mod equations;
@@ -89,5 +90,6 @@ pub mod shapley;
 pub mod shooting;
 pub mod signature;
 pub mod simulator;
+pub mod spectrum;
 pub mod statistics;
 pub mod unknown;

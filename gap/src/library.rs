@@ -1,7 +1,10 @@
 //! The hypotheses a system allows: every effect at every place where it can act, and why others cannot.
 
-use parallax_model::effect::{Effect, Place, PlaceKind, Quantity};
-use parallax_model::plant::{Plant, Residual};
+mod sizes;
+mod testable;
+
+use parallax_model::effect::{Effect, Place, PlaceKind};
+use parallax_model::plant::{ExtraState, Plant, Residual};
 
 use crate::equations::EquationsSimulator;
 use crate::hypothesis::{EffectAt, Fitted, Hypothesis, Prior, Slot};
@@ -16,13 +19,36 @@ pub struct NotTestable {
     pub reason: String,
 }
 
-/// Every single effect at every place, and those that cannot be tested.
+/// Every single effect at every place that changes predictions, each form as one entry, and those that cannot be
+/// tested. What leaves predictions as they are is listed by [`statistical`].
+///
+/// Where no form of an effect can be tested at a place, the reason is the first form's.
 #[must_use]
 pub fn candidates(setup: &Setup) -> (Vec<EffectAt>, Vec<NotTestable>) {
+    let mut found: Vec<EffectAt> = Vec::new();
+    let mut not: Vec<NotTestable> = Vec::new();
+    for (at, index) in everywhere(setup, |effect| !effect.statistical()) {
+        match testable::testable(setup, &at, index) {
+            Ok(()) => found.push(at),
+            Err(reason) => not.push(NotTestable { effect: at, reason }),
+        }
+    }
+    let mut seen = std::collections::BTreeSet::new();
+    not.retain(|n| !found.iter().any(|f| f.label() == n.effect.label()) && seen.insert(n.effect.label()));
+    (found, not)
+}
+
+/// The effects that leave the mean of every prediction as it is, at every place: they show in stamps and residuals.
+#[must_use]
+pub fn statistical(setup: &Setup) -> Vec<EffectAt> {
+    everywhere(setup, Effect::statistical).into_iter().map(|(at, _)| at).collect()
+}
+
+/// Effects at all places of their kinds, with the index of the place.
+fn everywhere(setup: &Setup, chosen: impl Fn(Effect) -> bool) -> Vec<(EffectAt, usize)> {
     let system = setup.equations.system();
-    let mut found = Vec::new();
-    let mut not = Vec::new();
-    for effect in Effect::ALL {
+    let mut all = Vec::new();
+    for effect in Effect::ALL.into_iter().filter(|effect| chosen(*effect)) {
         for kind in effect.places() {
             let keys: Vec<String> = match kind {
                 PlaceKind::Input => system.inputs.iter().map(|i| i.name.clone()).collect(),
@@ -34,36 +60,17 @@ pub fn candidates(setup: &Setup) -> (Vec<EffectAt>, Vec<NotTestable>) {
                     .filter(|p| p.calibrate.is_none())
                     .map(|p| p.name.clone())
                     .collect(),
-                PlaceKind::State | PlaceKind::Connection | PlaceKind::Node => Vec::new(),
+                PlaceKind::State => system.states.iter().map(|s| s.name.clone()).collect(),
+                PlaceKind::Connection | PlaceKind::Node => Vec::new(),
             };
-            for (index, key) in keys.into_iter().enumerate() {
+            for key in keys {
                 let at = EffectAt { effect, place: Place::new(*kind, key) };
-                match testable(setup, *kind, index) {
-                    Ok(()) => found.push(at),
-                    Err(reason) => not.push(NotTestable { effect: at, reason }),
-                }
+                let index = place_index(setup, &at.place).unwrap_or(0);
+                all.push((at, index));
             }
         }
     }
-    (found, not)
-}
-
-fn testable(setup: &Setup, kind: PlaceKind, index: usize) -> Result<(), String> {
-    match kind {
-        PlaceKind::Input => {
-            let range = &setup.input_range[index];
-            if range.high > range.low { Ok(()) } else { Err("the command never changes in this log".into()) }
-        }
-        PlaceKind::Joint => {
-            setup.equations.system().joints[index].entry().map_err(str::to_owned)?;
-            if setup.joints[index].speed > 1e-9 {
-                Ok(())
-            } else {
-                Err("the joint never moves in this log".into())
-            }
-        }
-        _ => Ok(()),
-    }
+    all
 }
 
 /// The hypothesis with these effects, over the calibrated parameters.
@@ -79,15 +86,7 @@ pub fn hypothesis(setup: &Setup, effects: &[EffectAt]) -> Hypothesis {
         }
         for (k, spec) in at.effect.parameters().iter().enumerate() {
             let slot = Slot::Effect { effect: e, parameter: k };
-            fitted.push(effect_parameter(
-                setup,
-                spec.name,
-                spec.quantity,
-                spec.signed,
-                at.place.kind,
-                index,
-                slot,
-            ));
+            fitted.push(sizes::fitted(setup, at, index, spec, slot));
         }
     }
     Hypothesis { effects: effects.to_vec(), fitted, residual: false }
@@ -137,97 +136,6 @@ fn free_parameter(setup: &Setup, index: usize) -> Fitted {
     }
 }
 
-fn effect_parameter(
-    setup: &Setup,
-    name: &str,
-    quantity: Quantity,
-    signed: bool,
-    kind: PlaceKind,
-    index: usize,
-    slot: Slot,
-) -> Fitted {
-    let system = setup.equations.system();
-    let span = setup.experiment.span();
-    let mut fitted = Fitted {
-        slot,
-        name: name.into(),
-        unit: String::new(),
-        null: 0.0,
-        prior: Prior::Uniform { low: 0.0, high: 1.0 },
-        low: 0.0,
-        high: f64::INFINITY,
-        scale: 1.0,
-        starts: Vec::new(),
-    };
-    let sized = |fitted: &mut Fitted, size: f64, starts: &[f64]| {
-        fitted.scale = 0.2 * size;
-        fitted.low = if signed { -20.0 * size } else { 0.0 };
-        fitted.high = 20.0 * size;
-        fitted.prior =
-            if signed { Prior::Normal { mean: 0.0, std: size } } else { Prior::HalfNormal { std: size } };
-        fitted.starts = starts.iter().map(|s| s * size).collect();
-    };
-    match quantity {
-        Quantity::Time => {
-            // A robot's delays are tens of milliseconds; a slow process' are a few of its samples.
-            let size = (5.0 * setup.period).max(0.05);
-            sized(&mut fitted, size, &[0.1, 0.5, 1.5]);
-            fitted.high = (6.0 * size).min(0.25 * (span.1 - span.0));
-            fitted.unit = "s".into();
-        }
-        Quantity::Input => {
-            let range = &setup.input_range[index];
-            sized(&mut fitted, 0.5 * range.std.max(1e-12), &[0.1, 0.8]);
-        }
-        Quantity::InputLow | Quantity::InputHigh => {
-            let range = &setup.input_range[index];
-            let middle = 0.5 * (range.low + range.high);
-            let upper = quantity == Quantity::InputHigh;
-            let (low, high) = if upper { (middle, range.high) } else { (range.low, middle) };
-            fitted.null = if upper { range.high } else { range.low };
-            (fitted.low, fitted.high) = (low, high);
-            fitted.prior = Prior::Uniform { low, high };
-            fitted.scale = 0.1 * (high - low);
-            fitted.starts =
-                [0.05, 0.3, 0.6].iter().map(|s| fitted.null + s * (middle - fitted.null)).collect();
-        }
-        Quantity::Force => sized(&mut fitted, 0.5 * setup.joints[index].force, &[0.05, 0.4]),
-        Quantity::ForcePerSpeed => {
-            let joint = &setup.joints[index];
-            sized(&mut fitted, 0.5 * joint.force / joint.speed, &[0.0, 0.3]);
-        }
-        Quantity::Output => {
-            sized(&mut fitted, 0.3 * setup.output_scale[index].max(setup.output_noise[index]), &[0.0]);
-            fitted.unit = system.outputs[index].unit.clone();
-        }
-        Quantity::Parameter => {}
-    }
-    match kind {
-        PlaceKind::Joint => {
-            let [force, per_speed] = joint_units(setup, index);
-            fitted.unit = if quantity == Quantity::ForcePerSpeed { per_speed } else { force }.into();
-        }
-        PlaceKind::Input if quantity != Quantity::Time => {
-            fitted.unit = setup.experiment.input_units.get(index).cloned().unwrap_or_default();
-        }
-        _ => {}
-    }
-    fitted
-}
-
-/// Units of a joint's force and of force per speed, from the unit in which its position is read; units are labels, so
-/// where no output reads the position there is none.
-fn joint_units(setup: &Setup, joint: usize) -> [&'static str; 2] {
-    let system = setup.equations.system();
-    let position = system.joints[joint].position.text().trim();
-    let unit = system.outputs.iter().find(|o| o.value.text().trim() == position).map(|o| o.unit.as_str());
-    match unit {
-        Some("rad") => ["N m", "N m s/rad"],
-        Some("m") => ["N", "N s/m"],
-        _ => ["", ""],
-    }
-}
-
 /// Index of a place among the system's inputs, outputs, joints, states or parameters.
 #[must_use]
 pub fn place_index(setup: &Setup, place: &Place) -> Option<usize> {
@@ -257,5 +165,23 @@ pub fn simulator<'a>(
     let smoothing = setup.joints.iter().map(|j| j.smoothing).collect();
     let plant = Plant::new(setup.equations.clone(), &effects, residuals, smoothing);
     let slots = hypothesis.fitted.iter().map(|f| f.slot).collect();
-    EquationsSimulator::new(plant, slots, &setup.experiment, setup.step)
+    let std = extra_std(setup, &plant);
+    EquationsSimulator::new(plant, slots, &setup.experiment, setup.step).with_extra_std(std)
+}
+
+/// How uncertain the states are that effects bring with them, where a stretch of the recording begins.
+#[must_use]
+pub fn extra_std(setup: &Setup, plant: &Plant) -> Vec<f64> {
+    plant
+        .extra_states()
+        .iter()
+        .map(|state| match *state {
+            ExtraState::Reading { output, .. } => {
+                0.3 * setup.output_scale[output].max(setup.output_noise[output])
+            }
+            // What a spring gives way in a fiftieth of a second of motion.
+            ExtraState::Deflection { joint, .. } => 0.02 * setup.joints[joint].speed,
+            ExtraState::DeflectionRate { joint, .. } => setup.joints[joint].speed,
+        })
+        .collect()
 }

@@ -8,6 +8,8 @@ use crate::experiment::Experiment;
 use crate::filter::Noise;
 use crate::innovation::{NoiseModel, Segment, walk};
 use crate::noise;
+use crate::simulator::Simulator;
+use crate::spectrum;
 use crate::statistics::{root_mean_square, standard_deviation};
 
 /// A system bound to a recording, with everything that is the same for every hypothesis.
@@ -35,13 +37,19 @@ pub struct Setup {
     pub joints: Vec<JointScale>,
     /// Standard deviation of each output's readings.
     pub output_scale: Vec<f64>,
-    /// Smallest, largest and root mean square value of each command.
-    pub input_range: Vec<InputRange>,
+    /// Smallest and largest value of each command, and its deviation.
+    pub input_range: Vec<Range>,
+    /// The same of each output's readings.
+    pub output_range: Vec<Range>,
+    /// The same of each nominal state, as a filter found it.
+    pub state_range: Vec<Range>,
+    /// Frequencies that stand out of the nominal model's innovations (Hz), the strongest first.
+    pub frequencies: Vec<f64>,
 }
 
-/// How far a command went.
+/// How far a quantity went.
 #[derive(Clone, Copy, Debug)]
-pub struct InputRange {
+pub struct Range {
     /// Smallest value.
     pub low: f64,
     /// Largest value.
@@ -50,8 +58,32 @@ pub struct InputRange {
     pub std: f64,
 }
 
-/// How fast and how hard a joint moved.
-#[derive(Clone, Copy, Debug)]
+impl Range {
+    /// Of these values.
+    #[must_use]
+    pub fn of(values: &[f64]) -> Self {
+        Range {
+            low: values.iter().copied().fold(f64::INFINITY, f64::min),
+            high: values.iter().copied().fold(f64::NEG_INFINITY, f64::max),
+            std: standard_deviation(values),
+        }
+    }
+
+    /// From the smallest to the largest value.
+    #[must_use]
+    pub fn width(&self) -> f64 {
+        self.high - self.low
+    }
+
+    /// Halfway between them.
+    #[must_use]
+    pub fn middle(&self) -> f64 {
+        0.5 * (self.low + self.high)
+    }
+}
+
+/// How fast, how far and how hard a joint moved.
+#[derive(Clone, Debug)]
 pub struct JointScale {
     /// Root mean square speed.
     pub speed: f64,
@@ -59,6 +91,14 @@ pub struct JointScale {
     pub force: f64,
     /// Speed within which the direction of motion is smoothed.
     pub smoothing: f64,
+    /// Where it went.
+    pub position: Range,
+    /// Smallest and largest speed.
+    pub velocity: Range,
+    /// What forces work against: as stated, or force by acceleration.
+    pub inertia: f64,
+    /// Waves per unit of position, times 2π, that stand out of the nominal model's innovations, the strongest first.
+    pub wavenumbers: Vec<f64>,
 }
 
 /// Share of the log that is held out for the quantification, as blocks spread over it.
@@ -100,6 +140,9 @@ impl Setup {
         for held in &mut experiment.inputs {
             *held = held.averaged(period / COMMANDS_PER_READING);
         }
+        for supply in experiment.supplies.iter_mut().flatten() {
+            supply.voltage = supply.voltage.averaged(period);
+        }
         let (state, std) = guess(&equations, &experiment, &output_scale, period);
         let (train, test) = segments(&experiment, horizon, &state, &std);
         let scale: Vec<f64> = (0..equations.system().states.len())
@@ -117,14 +160,9 @@ impl Setup {
         let initial =
             Noise { log_process: 0.0, log_output: output_noise.iter().map(|s| 2.0 * s.ln()).collect() };
         let noise = NoiseModel { scale, limits, process_floor: -60.0, initial };
-        let input_range = experiment
-            .inputs
-            .iter()
-            .map(|h| InputRange {
-                low: h.values.iter().copied().fold(f64::INFINITY, f64::min),
-                high: h.values.iter().copied().fold(f64::NEG_INFINITY, f64::max),
-                std: standard_deviation(&h.values),
-            })
+        let input_range = experiment.inputs.iter().map(|h| Range::of(&h.values)).collect();
+        let output_range = (0..outputs)
+            .map(|o| Range::of(&noise::unwrapped(&experiment.output(o).1, experiment.wraps[o])))
             .collect();
         // Steps end at every change of a command; half its period is a start that is refined below.
         let step = experiment
@@ -149,6 +187,9 @@ impl Setup {
             joints: Vec::new(),
             output_scale,
             input_range,
+            output_range,
+            state_range: Vec::new(),
+            frequencies: Vec::new(),
         };
         setup.measure();
         setup
@@ -159,7 +200,7 @@ impl Setup {
         let joints = self.equations.system().joints.len();
         let plant = Plant::new(self.equations.clone(), &[], Vec::new(), vec![1.0; joints]);
         let simulator = EquationsSimulator::new(plant, Vec::new(), &self.experiment, self.step);
-        let n = self.equations.system().states.len();
+        let (n, width) = (self.equations.system().states.len(), simulator.states());
         let all: Vec<Segment> = self.train.iter().chain(&self.test).cloned().collect();
         // Start from a process noise that lets the readings lead, then let the likelihood choose.
         let mut noise = self.noise.initial.clone();
@@ -170,12 +211,18 @@ impl Setup {
         let parameters = self.equations.nominal();
         let mut rates = vec![Vec::new(); n];
         let mut speeds = vec![Vec::new(); joints];
+        let mut positions = vec![Vec::new(); joints];
+        let mut accelerations = vec![Vec::new(); joints];
+        let mut states = vec![Vec::new(); n];
         let mut forces = vec![Vec::new(); joints];
         let mut inertias = vec![Vec::new(); joints];
         for (k, stamp) in pass.stamp.iter().enumerate() {
-            let states = &pass.state[k * n..(k + 1) * n];
+            let found = &pass.state[k * width..k * width + n];
+            for (all, value) in states.iter_mut().zip(found) {
+                all.push(*value);
+            }
             let inputs: Vec<f64> = self.experiment.inputs.iter().map(|h| h.at(*stamp)).collect();
-            let point = Point { parameters: &parameters, states, inputs: &inputs, time: *stamp };
+            let point = Point { parameters: &parameters, states: found, inputs: &inputs, time: *stamp };
             let values = self.equations.values(&point, &[]);
             for (rate, value) in rates.iter_mut().zip(&values.derivatives) {
                 rate.push(*value);
@@ -183,6 +230,9 @@ impl Setup {
             for j in 0..joints {
                 let joint = self.equations.joint(j, &point, &values.lets);
                 speeds[j].push(joint.velocity);
+                positions[j].push(joint.position);
+                let accelerated = self.equations.system().joints[j].velocity_state;
+                accelerations[j].extend(accelerated.map(|state| values.derivatives[state]));
                 inertias[j].extend(joint.inertia);
                 let inertial = || {
                     let state = self.equations.system().joints[j].velocity_state?;
@@ -202,6 +252,7 @@ impl Setup {
         // In units of these scales the intensities are ratios; the search starts from a hundredth.
         self.noise.initial =
             Noise { log_process: (1e-4_f64 * self.period).ln(), log_output: noise.log_output };
+        let whitened = pass.whitened();
         self.joints = (0..joints)
             .map(|j| {
                 let speed = root_mean_square(&speeds[j]).max(1e-12);
@@ -211,9 +262,15 @@ impl Setup {
                 // friction of a quarter of the driving force may change the speed by half this in one step.
                 let stable = if inertia > 0.0 { 0.125 * force * self.step / inertia } else { 0.02 * speed };
                 let smoothing = (0.002 * speed).max(stable);
-                JointScale { speed, force, smoothing }
+                let by_motion = force / root_mean_square(&accelerations[j]).max(1e-12);
+                let inertia = if inertia > 0.0 { inertia } else { by_motion };
+                let (position, velocity) = (Range::of(&positions[j]), Range::of(&speeds[j]));
+                let wavenumbers = spectrum::wavenumbers(&positions[j], &whitened);
+                JointScale { speed, force, smoothing, position, velocity, inertia, wavenumbers }
             })
             .collect();
+        self.state_range = states.iter().map(|values| Range::of(values)).collect();
+        self.frequencies = spectrum::frequencies(&pass.stamp, &whitened, self.period);
     }
 
     /// A rate of change of the states that the data suggest: output scale over the horizon.

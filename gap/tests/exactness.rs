@@ -119,6 +119,7 @@ fn a_reading_sees_the_command_stamped_with_it() {
         input_units: vec!["V".into()],
         samples: [0.05, 0.1, 0.15, 0.2].map(|stamp| Sample { stamp, output: 0, value: 0.0 }).to_vec(),
         wraps: vec![None],
+        ..Experiment::default()
     };
     let plant = Plant::new(equations, &[], Vec::new(), Vec::new());
     let simulator = EquationsSimulator::new(plant, Vec::new(), &experiment, 0.01);

@@ -62,7 +62,7 @@ proptest! {
         let samples: Vec<Sample> =
             (0..100).map(|k| Sample { stamp: f64::from(k), output: 0, value: 0.0 }).collect();
         let held = Held { times: vec![0.0, 50.0], values: vec![0.0, 1.0] };
-        let experiment = Experiment { inputs: vec![held], input_units: Vec::new(), samples, wraps: vec![None] };
+        let experiment = Experiment { inputs: vec![held], samples, wraps: vec![None], ..Experiment::default() };
         let plant = Plant::new(equations(), &[(Effect::Delay, PlaceKind::Output, 0)], Vec::new(), vec![1.0]);
         let simulator =
             EquationsSimulator::new(plant, vec![Slot::Effect { effect: 0, parameter: 0 }], &experiment, 1.0);

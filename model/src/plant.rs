@@ -1,21 +1,25 @@
 //! A plant under a hypothesis: the nominal equations with effects added.
 //!
 //! Effects on a command act before the equations see it, and those on a reading after; forces enter at their joint;
-//! a flexible [`Residual`] may stand for a cause that no named effect describes. At their null values all of these
-//! change nothing.
+//! effects with a state of their own (a sensor's lag, a spring inside a joint) add states behind the nominal ones; a
+//! flexible [`Residual`] may stand for a cause that no named effect describes. At their null values all of these
+//! change nothing. The `[[effect]]` entries of the system itself act in every plant, with their stated values.
 
+mod forces;
 mod residual;
+mod states;
 
 pub use residual::{Feature, Residual, Target, Variable};
+pub use states::ExtraState;
 
 use crate::Scalar;
-use crate::effect::{Effect, JointMotion, PlaceKind};
+use crate::effect::{Effect, PlaceKind};
 use crate::program::Program;
-use crate::system::{Equations, Point};
+use crate::system::{Equations, Point, Values};
 use crate::trace::{Traced, trace_fn};
 
 /// An effect bound to the index of its place among the system's inputs, joints, outputs or parameters.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct BoundEffect {
     /// The effect.
     pub effect: Effect,
@@ -23,8 +27,10 @@ pub struct BoundEffect {
     pub kind: PlaceKind,
     /// Index of the place.
     pub index: usize,
-    /// Where its parameters begin among the plant's effect parameters.
+    /// Where its parameters begin among the plant's effect parameters; meaningless where `fixed` holds them.
     pub first: usize,
+    /// The values of an effect that is part of the system itself.
+    pub fixed: Option<Vec<f64>>,
 }
 
 /// Equations with effects.
@@ -34,12 +40,18 @@ pub struct Plant {
     effects: Vec<BoundEffect>,
     residuals: Vec<Residual>,
     smoothing: Vec<f64>,
+    step: f64,
+    first_weight: usize,
     extra: usize,
+    extra_states: Vec<ExtraState>,
 }
+
+/// The shortest time that effects with states of their own follow, unless [`Plant::with_step`] says otherwise (s).
+const SHORTEST: f64 = 1e-3;
 
 impl Plant {
     /// The equations with effects and residuals; `smoothing` is the speed, per joint, within which the direction of
-    /// motion is smoothed (rad/s or m/s).
+    /// motion is smoothed (rad/s or m/s). The system's own effects are added behind the given ones.
     #[must_use]
     pub fn new(
         equations: Equations,
@@ -48,16 +60,41 @@ impl Plant {
         smoothing: Vec<f64>,
     ) -> Self {
         let mut first = 0;
-        let effects = effects
+        let mut bound: Vec<BoundEffect> = effects
             .iter()
             .map(|&(effect, kind, index)| {
-                let bound = BoundEffect { effect, kind, index, first };
+                let bound = BoundEffect { effect, kind, index, first, fixed: None };
                 first += effect.parameters().len();
                 bound
             })
             .collect();
+        bound.extend(equations.effects().iter().map(|own| BoundEffect {
+            effect: own.effect,
+            kind: own.kind,
+            index: own.index,
+            first: 0,
+            fixed: Some(own.values.clone()),
+        }));
         let extra = first + residuals.iter().map(|r| r.features.len()).sum::<usize>();
-        Plant { equations, effects, residuals, smoothing, extra }
+        let extra_states = states::of(&bound);
+        Plant {
+            equations,
+            effects: bound,
+            residuals,
+            smoothing,
+            step: SHORTEST,
+            first_weight: first,
+            extra,
+            extra_states,
+        }
+    }
+
+    /// The same plant for an integrator whose steps are at most `step` seconds long. What is faster than a step is
+    /// followed as far as a step can: no equation becomes stiff, and slow motions are right.
+    #[must_use]
+    pub fn with_step(mut self, step: f64) -> Self {
+        self.step = step;
+        self
     }
 
     /// The nominal equations.
@@ -66,10 +103,19 @@ impl Plant {
         &self.equations
     }
 
-    /// The effects, in the order of their parameters.
+    /// The effects, in the order of their parameters; the system's own ones follow.
     #[must_use]
     pub fn effects(&self) -> &[BoundEffect] {
         &self.effects
+    }
+
+    /// The effects at one place, in the order in which they act.
+    #[must_use]
+    pub fn effects_at(&self, kind: PlaceKind, index: usize) -> Vec<&BoundEffect> {
+        let here = |b: &&BoundEffect| b.kind == kind && b.index == index;
+        let mut found: Vec<&BoundEffect> = self.effects.iter().filter(here).collect();
+        found.sort_by_key(|b| b.effect.stage());
+        found
     }
 
     /// How many parameters effects and residuals have together.
@@ -78,27 +124,49 @@ impl Plant {
         self.extra
     }
 
-    /// Parameters of one effect among the plant's.
-    fn own<'a, T>(&self, bound: &BoundEffect, extra: &'a [T]) -> &'a [T] {
-        &extra[bound.first..bound.first + bound.effect.parameters().len()]
-    }
-
-    /// The command that reaches the equations, from the one that was sent. Effects in time (delay, lag) are not
-    /// applied here: they need the command's history.
+    /// The extra parameters at which nothing is added: null values, and weights of zero.
     #[must_use]
-    pub fn command<T: Scalar>(&self, input: usize, extra: &[T], command: T) -> T {
-        self.effects
-            .iter()
-            .filter(|b| b.kind == PlaceKind::Input && b.index == input)
-            .fold(command, |u, b| b.effect.input(self.own(b, extra), u))
+    pub fn extra_values(&self) -> Vec<f64> {
+        let free = self.effects.iter().filter(|b| b.fixed.is_none());
+        let mut values: Vec<f64> = free.flat_map(|b| b.effect.parameters().iter().map(|p| p.null)).collect();
+        values.resize(self.extra, 0.0);
+        values
     }
 
-    /// Rates of change of the states, per second; `inputs` as [`Plant::command`] gave them.
+    /// Index of the first weight of a residual among the extra parameters.
+    #[must_use]
+    pub fn first_weight(&self) -> usize {
+        self.first_weight
+    }
+
+    /// Parameters of one effect, from the plant's extra ones.
+    #[must_use]
+    pub fn own<T: Scalar>(&self, bound: &BoundEffect, extra: &[T]) -> Vec<T> {
+        match &bound.fixed {
+            Some(values) => values.iter().map(|v| T::constant(*v)).collect(),
+            None => extra[bound.first..bound.first + bound.effect.parameters().len()].to_vec(),
+        }
+    }
+
+    /// Rates of change of the states, per second, the extra ones last; `point` holds the commands as they reach the
+    /// equations, and all states.
     #[must_use]
     pub fn derivatives<T: Scalar>(&self, point: &Point<'_, T>, extra: &[T]) -> Vec<T> {
-        let values = self.equations.values(point, &self.forces(point, extra));
-        let mut derivatives = values.derivatives;
-        let mut first = self.residuals_begin();
+        let n = self.equations.system().states.len();
+        let moved = self.moved(point, extra);
+        let nominal = moved.point(point, n);
+        let forces = self.forces(&nominal, &point.states[n..], extra);
+        let values = self.equations.values(&nominal, &forces.forces);
+        let mut derivatives = values.derivatives.clone();
+        if !moved.air.is_empty() {
+            // The air's speed relaxes as the equations say; what is added to it stays.
+            let still = Point { states: &point.states[..n], ..nominal };
+            let calm = self.equations.values(&still, &forces.forces).derivatives;
+            for &state in &moved.air {
+                derivatives[state] = calm[state];
+            }
+        }
+        let mut first = self.first_weight;
         for residual in &self.residuals {
             let weights = &extra[first..first + residual.features.len()];
             first += residual.features.len();
@@ -106,14 +174,21 @@ impl Plant {
                 derivatives[state] += residual.value(weights, point);
             }
         }
+        self.hold_within(point, extra, &mut derivatives);
+        self.extra_rates(point, extra, &values, &forces, &mut derivatives);
         derivatives
     }
 
     /// One reading, effects of sensing included.
     #[must_use]
     pub fn output<T: Scalar>(&self, output: usize, point: &Point<'_, T>, extra: &[T]) -> T {
-        let mut value = self.equations.values(point, &self.forces(point, extra)).outputs[output];
-        let mut first = self.residuals_begin();
+        let n = self.equations.system().states.len();
+        let moved = self.moved(point, extra);
+        let nominal = moved.point(point, n);
+        let forces = self.forces(&nominal, &point.states[n..], extra);
+        let values = self.equations.values(&nominal, &forces.forces);
+        let mut value = self.lagged(output, point, extra, &values, usize::MAX);
+        let mut first = self.first_weight;
         for residual in &self.residuals {
             let weights = &extra[first..first + residual.features.len()];
             first += residual.features.len();
@@ -121,19 +196,18 @@ impl Plant {
                 value += residual.value(weights, point);
             }
         }
-        self.effects
-            .iter()
-            .filter(|b| b.kind == PlaceKind::Output && b.index == output)
-            .fold(value, |y, b| b.effect.output(self.own(b, extra), y))
+        self.effects_at(PlaceKind::Output, output)
+            .into_iter()
+            .fold(value, |y, b| b.effect.output(&self.own(b, extra), y, point.time))
     }
 
     /// The rates of change as a program. Its inputs are, in order, the system's parameters, the plant's extra
-    /// parameters, the states, the commands as they reach the equations, and the time; its outputs one per state.
+    /// parameters, the states (extra ones last), the commands as they reach the equations, and the time; its outputs
+    /// one per state.
     #[must_use]
     pub fn derivative_program(&self) -> Program {
-        let system = self.equations.system();
-        let outputs: Vec<String> = system.states.iter().map(|s| format!("d_{}", s.name)).collect();
-        trace_fn(&system.name, &self.program_inputs(), &outputs, |all| {
+        let outputs: Vec<String> = self.state_names().iter().map(|s| format!("d_{s}")).collect();
+        trace_fn(&self.equations.system().name, &self.program_inputs(), &outputs, |all| {
             let (point, extra) = self.split(all);
             self.derivatives(&point, extra)
         })
@@ -154,7 +228,7 @@ impl Plant {
         let system = self.equations.system();
         let mut names: Vec<String> = system.parameters.iter().map(|p| format!("p_{}", p.name)).collect();
         names.extend((0..self.extra).map(|i| format!("e_{i}")));
-        names.extend(system.states.iter().map(|s| format!("x_{}", s.name)));
+        names.extend(self.state_names().iter().map(|s| format!("x_{s}")));
         names.extend(system.inputs.iter().map(|i| format!("u_{}", i.name)));
         names.push("time".into());
         names
@@ -164,32 +238,31 @@ impl Plant {
         let system = self.equations.system();
         let (parameters, rest) = all.split_at(system.parameters.len());
         let (extra, rest) = rest.split_at(self.extra);
-        let (states, rest) = rest.split_at(system.states.len());
+        let (states, rest) = rest.split_at(self.states());
         let (inputs, time) = rest.split_at(system.inputs.len());
         (Point { parameters, states, inputs, time: time[0] }, extra)
     }
 
-    fn residuals_begin(&self) -> usize {
-        self.effects.iter().map(|b| b.effect.parameters().len()).sum()
-    }
-
-    fn forces<T: Scalar>(&self, point: &Point<'_, T>, extra: &[T]) -> Vec<(usize, T)> {
-        let joints: Vec<&BoundEffect> = self.effects.iter().filter(|b| b.kind == PlaceKind::Joint).collect();
-        if joints.is_empty() {
-            return Vec::new();
+    /// The reading of an output after the first `lags` sensor lags of its place.
+    fn lagged<T: Scalar>(
+        &self,
+        output: usize,
+        point: &Point<'_, T>,
+        extra: &[T],
+        values: &Values<T>,
+        lags: usize,
+    ) -> T {
+        let n = self.equations.system().states.len();
+        let mut value = values.outputs[output];
+        let own = self.extra_states.iter().enumerate().filter_map(|(k, state)| match *state {
+            ExtraState::Reading { effect, output: of } if of == output => Some((k, effect)),
+            _ => None,
+        });
+        for (k, effect) in own.take(lags) {
+            let tau = self.own(&self.effects[effect], extra)[0];
+            let followed = tau.max(T::constant(self.step));
+            value -= (tau / followed) * (value - point.states[n + k]);
         }
-        let lets = self.equations.lets(point, &[]);
-        joints
-            .into_iter()
-            .filter_map(|b| {
-                let joint = self.equations.joint(b.index, point, &lets);
-                let motion = JointMotion {
-                    position: joint.position,
-                    velocity: joint.velocity,
-                    smoothing: self.smoothing[b.index],
-                };
-                b.effect.force(self.own(b, extra), &motion).map(|force| (b.index, force))
-            })
-            .collect()
+        value
     }
 }

@@ -119,6 +119,7 @@ pub(crate) fn record(hidden: Hidden, seed: u64, duration: f64) -> Experiment {
         input_units: vec!["V".into()],
         samples,
         wraps: vec![Some(std::f64::consts::TAU)],
+        ..Experiment::default()
     }
 }
 

@@ -2,42 +2,125 @@
 //!
 //! [`Effect`] names them, [`Place`] says where one may act, and the equations stand in one file per family,
 //! generic over the scalar: the same line serves the filter, its derivatives and the exported program.
+//!
+//! # Forms
+//!
+//! Reality does not share our formulas. Where a family has several, each form is a variant of its own with the same
+//! [`Effect::name`] and other parameters; in an `[[effect]]` entry the parameters that are given decide the form
+//! ([`Effect::with_parameters`]).
+//!
+//! # Order
+//!
+//! Several effects at one place act in a fixed, physical order ([`Effect::stage`]). A command: gain, offset, supply
+//! sag, saturation, deadband, rate limit, lag, backlash; delays and skews shift the result in time. A reading: sensor
+//! lag, scale, bias, drift, sensor saturation. Forces add up.
 
 mod actuation;
+mod body;
+mod catalogue;
 mod friction;
 mod place;
 mod sensing;
 
+pub use actuation::{lag_second_order_step, lag_step, play_step, rate_limit_step, sag};
 pub use friction::JointMotion;
 pub use place::{Place, PlaceError, PlaceKind};
 
 use crate::Scalar;
-use serde::{Deserialize, Serialize};
 
-/// A named effect. Names are those of reports and of `[[effect]]` entries in a `system.toml`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+/// A named effect, in one functional form. Names are those of reports and of `[[effect]]` entries in a `system.toml`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Effect {
     /// A command acts, or an output shows, `delay` late.
     Delay,
     /// A first-order low-pass on a command.
     Lag,
+    /// A second-order low-pass on a command: a form of `lag`.
+    LagSecondOrder,
+    /// A command multiplied by a factor.
+    Gain,
     /// A constant added to a command.
     Offset,
-    /// A command clipped to `[low, high]`.
+    /// A command clipped to `[low, high]`, or a state that cannot leave them.
     Saturation,
+    /// A command that bends smoothly towards `low` and `high`: a form of `saturation`.
+    SaturationSoft,
     /// A command of less than `width` does nothing.
     Deadband,
+    /// A command that is followed at a limited rate.
+    RateLimit,
+    /// Play between a command and what it moves.
+    Backlash,
+    /// A command that weakens with a power of the recorded supply voltage.
+    SupplySag,
+    /// A command that weakens in proportion to its own size: the form of `supply_sag` without a voltage signal.
+    SupplySagLoad,
+    /// A command or a reading whose clock runs at another rate: its delay grows in time.
+    ClockSkew,
     /// Friction proportional to speed, beyond what the nominal model has.
     Viscous,
     /// Dry friction of constant force against the motion.
     Coulomb,
+    /// Dry friction that is larger near standstill.
+    Stribeck,
+    /// Dry friction in proportion to the transmitted force.
+    LoadFriction,
     /// Dry friction with a force of its own in each direction.
     AsymmetricFriction,
+    /// Viscous friction with a coefficient of its own in each direction: a form of `asymmetric_friction`.
+    AsymmetricViscous,
+    /// Drag with the square of speed.
+    QuadraticDrag,
+    /// A force that repeats with position.
+    Cogging,
+    /// Inertia added at a joint.
+    Inertia,
+    /// A mass added at a joint, with its inertia and weight.
+    Payload,
+    /// Gravity from another direction.
+    GravityTilt,
+    /// A spring between the joint and the world.
+    Spring,
+    /// A spring between the drive and the measured side of a joint: a two-mass resonance.
+    Flexibility,
+    /// A mass that hangs on the measured side of a joint by a spring: a form of `flexibility`.
+    FlexibilityFar,
+    /// A constant force on a joint.
+    ConstantForce,
+    /// A stop above a position.
+    EndStop,
+    /// A stop below a position: a form of `end_stop`.
+    EndStopLower,
+    /// A constant force of the surrounding air.
+    Wind,
+    /// Surrounding air that moves, where a joint names its state: a form of `wind`.
+    WindSpeed,
+    /// A sinusoidal force of time.
+    PeriodicDisturbance,
     /// A constant added to a reading.
     Bias,
+    /// A reading multiplied by a factor.
+    Scale,
+    /// An error of a reading that grows in time.
+    Drift,
+    /// A first-order low-pass on a reading.
+    SensorLag,
+    /// A reading clipped to `[low, high]`.
+    SensorSaturation,
     /// A parameter of the nominal model that has another value.
     Parameter,
+    /// Delays that scatter.
+    Jitter,
+    /// Messages that are lost.
+    Drops,
+    /// Noise of a reading beyond what is stated.
+    Noise,
+    /// A reading in steps.
+    Quantization,
+    /// Readings that are wrong at times.
+    Outliers,
+    /// Readings that repeat an earlier one at times.
+    Stuck,
 }
 
 /// What a parameter of an effect measures: it decides its unit and its natural size on given data.
@@ -45,18 +128,68 @@ pub enum Effect {
 pub enum Quantity {
     /// Seconds.
     Time,
+    /// A factor or a ratio without unit.
+    Ratio,
+    /// A share of events, 0 to 1.
+    Share,
+    /// The damping ratio of a second-order system.
+    Damping,
+    /// A power.
+    Exponent,
     /// The unit of the command it acts on.
-    Input,
-    /// A level of the command: null at the edge of the range that was used.
-    InputLow,
-    /// As [`Quantity::InputLow`], for the upper edge.
-    InputHigh,
+    Level,
+    /// That unit per second.
+    LevelRate,
+    /// One over that unit.
+    PerLevel,
+    /// A level of the command, state or reading: null below the range that was used.
+    Low,
+    /// As [`Quantity::Low`], above the range.
+    High,
     /// The generalised force of the joint.
     Force,
     /// Force per speed of the joint.
     ForcePerSpeed,
+    /// Force per speed squared.
+    ForcePerSpeedSquared,
+    /// The speed at which dry friction has lost most of its excess.
+    StribeckSpeed,
+    /// Friction as a share of the transmitted force.
+    LoadShare,
+    /// Waves per unit of position, times 2π: N in sin(N θ).
+    Wavenumber,
+    /// A phase in rad.
+    Phase,
+    /// The joint's inertia (kg m² or kg).
+    Inertia,
+    /// Kilograms.
+    Mass,
+    /// An angle of gravity in rad.
+    Angle,
+    /// Force per position.
+    Stiffness,
+    /// A position of the joint.
+    Position,
+    /// Stiffness of a spring inside the joint.
+    FlexibleStiffness,
+    /// Damping of a spring inside the joint, force per speed.
+    FlexibleDamping,
+    /// Share of the joint's inertia on the far side of a spring.
+    FarShare,
+    /// A position beyond which there is a stop.
+    UpperStop,
+    /// A position below which there is a stop.
+    LowerStop,
+    /// Force per position within a stop.
+    StopStiffness,
+    /// Speed of the air, in the unit of the state that holds it.
+    AirSpeed,
+    /// Hertz.
+    Frequency,
     /// The unit of the output.
-    Output,
+    Reading,
+    /// That unit per second.
+    ReadingRate,
     /// The unit of the parameter itself.
     Parameter,
 }
@@ -68,145 +201,253 @@ pub struct EffectParameter {
     pub name: &'static str,
     /// What it measures.
     pub quantity: Quantity,
-    /// Whether it may be negative.
-    pub signed: bool,
-}
-
-const fn parameter(name: &'static str, quantity: Quantity, signed: bool) -> EffectParameter {
-    EffectParameter { name, quantity, signed }
+    /// The value at which, with the other parameters at theirs, the effect vanishes; an infinity where that lies
+    /// beyond every value; not a number where only the system knows it.
+    pub null: f64,
+    /// Smallest value that physics allows.
+    pub low: f64,
+    /// Largest value that physics allows.
+    pub high: f64,
 }
 
 impl Effect {
-    /// Every effect there is.
-    pub const ALL: [Effect; 10] = [
+    /// Every effect there is, in every form.
+    pub const ALL: [Effect; 45] = [
         Effect::Delay,
         Effect::Lag,
+        Effect::LagSecondOrder,
+        Effect::Gain,
         Effect::Offset,
         Effect::Saturation,
+        Effect::SaturationSoft,
         Effect::Deadband,
+        Effect::RateLimit,
+        Effect::Backlash,
+        Effect::SupplySag,
+        Effect::SupplySagLoad,
+        Effect::ClockSkew,
         Effect::Viscous,
         Effect::Coulomb,
+        Effect::Stribeck,
+        Effect::LoadFriction,
         Effect::AsymmetricFriction,
+        Effect::AsymmetricViscous,
+        Effect::QuadraticDrag,
+        Effect::Cogging,
+        Effect::Inertia,
+        Effect::Payload,
+        Effect::GravityTilt,
+        Effect::Spring,
+        Effect::Flexibility,
+        Effect::FlexibilityFar,
+        Effect::ConstantForce,
+        Effect::EndStop,
+        Effect::EndStopLower,
+        Effect::Wind,
+        Effect::WindSpeed,
+        Effect::PeriodicDisturbance,
         Effect::Bias,
+        Effect::Scale,
+        Effect::Drift,
+        Effect::SensorLag,
+        Effect::SensorSaturation,
         Effect::Parameter,
+        Effect::Jitter,
+        Effect::Drops,
+        Effect::Noise,
+        Effect::Quantization,
+        Effect::Outliers,
+        Effect::Stuck,
     ];
 
-    /// The effect's name.
+    /// The effect's name, the same for all its forms.
     #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Effect::Delay => "delay",
-            Effect::Lag => "lag",
-            Effect::Offset => "offset",
-            Effect::Saturation => "saturation",
-            Effect::Deadband => "deadband",
-            Effect::Viscous => "viscous",
-            Effect::Coulomb => "coulomb",
-            Effect::AsymmetricFriction => "asymmetric_friction",
-            Effect::Bias => "bias",
-            Effect::Parameter => "parameter",
-        }
+    pub const fn name(self) -> &'static str {
+        catalogue::of(self).name
     }
 
-    /// The effect of that name.
+    /// The first form of the effect of that name.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Effect> {
-        Effect::ALL.into_iter().find(|effect| effect.name() == name)
+        Effect::forms(name).next()
+    }
+
+    /// All forms of the effect of that name.
+    pub fn forms(name: &str) -> impl Iterator<Item = Effect> {
+        Effect::ALL.into_iter().filter(move |effect| effect.name() == name)
+    }
+
+    /// The form of the effect of that name that has just these parameters, in any order.
+    #[must_use]
+    pub fn with_parameters(name: &str, parameters: &[&str]) -> Option<Effect> {
+        Effect::forms(name).find(|form| {
+            let own = form.parameters();
+            own.len() == parameters.len() && own.iter().all(|p| parameters.contains(&p.name))
+        })
     }
 
     /// One sentence for a reader of the report: what reality does that the model does not.
     #[must_use]
-    pub fn sentence(self) -> &'static str {
-        match self {
-            Effect::Delay => "acts late",
-            Effect::Lag => "follows sluggishly",
-            Effect::Offset => "has a constant added",
-            Effect::Saturation => "is clipped",
-            Effect::Deadband => "does nothing while small",
-            Effect::Viscous => "loses force in proportion to speed",
-            Effect::Coulomb => "loses a constant force against the motion",
-            Effect::AsymmetricFriction => "loses a constant force that differs by direction",
-            Effect::Bias => "reads with a constant error",
-            Effect::Parameter => "has another value",
-        }
+    pub const fn sentence(self) -> &'static str {
+        catalogue::of(self).sentence
     }
 
     /// The kinds of places where it can act.
     #[must_use]
-    pub fn places(self) -> &'static [PlaceKind] {
-        match self {
-            Effect::Delay => &[PlaceKind::Input, PlaceKind::Output],
-            Effect::Lag | Effect::Offset | Effect::Saturation | Effect::Deadband => &[PlaceKind::Input],
-            Effect::Viscous | Effect::Coulomb | Effect::AsymmetricFriction => &[PlaceKind::Joint],
-            Effect::Bias => &[PlaceKind::Output],
-            Effect::Parameter => &[PlaceKind::Parameter],
-        }
+    pub const fn places(self) -> &'static [PlaceKind] {
+        catalogue::of(self).places
     }
 
     /// Its parameters, in the order in which the equations take them.
     #[must_use]
-    pub fn parameters(self) -> &'static [EffectParameter] {
-        use Quantity::{Force, ForcePerSpeed, Input, InputHigh, InputLow, Output, Time};
+    pub const fn parameters(self) -> &'static [EffectParameter] {
+        catalogue::of(self).parameters
+    }
+
+    /// Whether it leaves the mean of every prediction as it is: such an effect shows in the distribution of the
+    /// residuals and in the stamps, and no fit of predictions can find it.
+    #[must_use]
+    pub const fn statistical(self) -> bool {
+        matches!(
+            self,
+            Effect::Jitter
+                | Effect::Drops
+                | Effect::Noise
+                | Effect::Quantization
+                | Effect::Outliers
+                | Effect::Stuck
+        )
+    }
+
+    /// Whether it acts on a command through the command's history: see the functions `*_step` of this module.
+    #[must_use]
+    pub const fn has_memory(self) -> bool {
+        matches!(self, Effect::Lag | Effect::LagSecondOrder | Effect::RateLimit | Effect::Backlash)
+    }
+
+    /// When it acts among several at one place: the smallest stage first.
+    #[must_use]
+    pub const fn stage(self) -> u8 {
         match self {
-            Effect::Delay => const { &[parameter("delay", Time, false)] },
-            Effect::Lag => const { &[parameter("time_constant", Time, false)] },
-            Effect::Offset => const { &[parameter("offset", Input, true)] },
-            Effect::Saturation => {
-                const { &[parameter("low", InputLow, true), parameter("high", InputHigh, true)] }
-            }
-            Effect::Deadband => const { &[parameter("width", Input, false)] },
-            Effect::Viscous => const { &[parameter("coefficient", ForcePerSpeed, true)] },
-            Effect::Coulomb => const { &[parameter("force", Force, false)] },
-            Effect::AsymmetricFriction => {
-                const { &[parameter("forward", Force, false), parameter("backward", Force, false)] }
-            }
-            Effect::Bias => const { &[parameter("bias", Output, true)] },
-            Effect::Parameter => const { &[parameter("value", Quantity::Parameter, true)] },
+            Effect::Gain | Effect::SensorLag => 0,
+            Effect::Offset | Effect::Scale => 1,
+            Effect::SupplySag | Effect::SupplySagLoad | Effect::Bias => 2,
+            Effect::Saturation | Effect::SaturationSoft | Effect::Drift => 3,
+            Effect::Deadband | Effect::SensorSaturation => 4,
+            Effect::RateLimit => 5,
+            Effect::Lag | Effect::LagSecondOrder => 6,
+            Effect::Backlash => 7,
+            _ => 8,
         }
     }
 
     /// The command that reaches the plant, from the command that was sent, both in the input's unit.
-    /// Effects that do not act on a command's value return it unchanged.
+    /// Effects that do not act on a command's value alone return it unchanged.
     #[must_use]
     pub fn input<T: Scalar>(self, parameters: &[T], command: T) -> T {
         match (self, parameters) {
-            (Effect::Offset, &[offset]) => actuation::offset(offset, command),
-            (Effect::Saturation, &[low, high]) => actuation::saturation(low, high, command),
+            (Effect::Gain, &[gain]) => command * gain,
+            (Effect::Offset, &[offset]) => command + offset,
+            (Effect::Saturation, &[low, high]) => command.clamp(low, high),
+            (Effect::SaturationSoft, &[low, high, softness]) => {
+                actuation::soft_saturation(low, high, softness, command)
+            }
             (Effect::Deadband, &[width]) => actuation::deadband(width, command),
+            (Effect::SupplySagLoad, &[coefficient]) => actuation::load_sag(coefficient, command),
             _ => command,
         }
     }
 
-    /// The generalised force that the effect adds to a joint, in the joint's unit of force;
-    /// `None` for effects that are no force.
+    /// The generalised force that the effect adds to a joint, in the joint's unit of force; `None` for effects that
+    /// are no force of the joint's motion alone, and where the joint does not state what the force depends on.
     #[must_use]
     pub fn force<T: Scalar>(self, parameters: &[T], motion: &JointMotion<T>) -> Option<T> {
         match (self, parameters) {
             (Effect::Viscous, &[coefficient]) => Some(friction::viscous(coefficient, motion)),
             (Effect::Coulomb, &[force]) => Some(friction::coulomb(force, motion)),
+            (Effect::Stribeck, &[coulomb, extra, speed]) => {
+                Some(friction::stribeck(coulomb, extra, speed, motion))
+            }
+            (Effect::LoadFriction, &[ratio]) => friction::load(ratio, motion),
             (Effect::AsymmetricFriction, &[forward, backward]) => {
                 Some(friction::asymmetric(forward, backward, motion))
+            }
+            (Effect::AsymmetricViscous, &[forward, backward]) => {
+                Some(friction::asymmetric_viscous(forward, backward, motion))
+            }
+            (Effect::QuadraticDrag, &[coefficient]) => Some(friction::quadratic(coefficient, motion)),
+            (Effect::Cogging, &[amplitude, wavenumber, phase]) => {
+                Some(body::cogging(amplitude, wavenumber, phase, motion))
+            }
+            (Effect::Spring, &[stiffness, rest]) => Some(body::spring(stiffness, rest, motion)),
+            (Effect::EndStop, &[limit, stiffness]) => Some(body::upper_stop(limit, stiffness, motion)),
+            (Effect::EndStopLower, &[limit, stiffness]) => Some(body::lower_stop(limit, stiffness, motion)),
+            (Effect::ConstantForce | Effect::Wind, &[force]) => Some(force),
+            (Effect::PeriodicDisturbance, &[amplitude, frequency, phase]) => {
+                Some(body::periodic(amplitude, frequency, phase, motion))
             }
             _ => None,
         }
     }
 
-    /// The reading, from the true value of the output, both in the output's unit.
-    /// Effects that do not act on a reading's value return it unchanged.
+    /// The reading, from the true value of the output, both in the output's unit, `time` seconds after the
+    /// recording's start. Effects that do not act on a reading's value alone return it unchanged.
     #[must_use]
-    pub fn output<T: Scalar>(self, parameters: &[T], value: T) -> T {
+    pub fn output<T: Scalar>(self, parameters: &[T], value: T, time: T) -> T {
         match (self, parameters) {
-            (Effect::Bias, &[bias]) => sensing::bias(bias, value),
+            (Effect::Bias, &[bias]) => value + bias,
+            (Effect::Scale, &[scale]) => value * scale,
+            (Effect::Drift, &[rate]) => sensing::drift(rate, value, time),
+            (Effect::SensorSaturation, &[low, high]) => value.clamp(low, high),
             _ => value,
         }
     }
 }
 
-/// The mean of a first-order lag's output over a step with a held command, and its value at the end.
-///
-/// `state` is the lag's output at the start and `dt` the step in seconds. Exact for a held command
-/// (the solution of τ v̇ = u − v), smooth in τ down to zero, where the lag vanishes: no stiff equation is left.
-#[must_use]
-pub fn lag_step<T: Scalar>(time_constant: T, state: T, command: T, dt: T) -> (T, T) {
-    actuation::lag_step(time_constant, state, command, dt)
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_list_holds_every_effect_once_and_forms_differ_by_their_parameters() {
+        for (k, effect) in Effect::ALL.into_iter().enumerate() {
+            assert!(!Effect::ALL[..k].contains(&effect), "{effect:?} is listed twice");
+            let names: Vec<&str> = effect.parameters().iter().map(|p| p.name).collect();
+            assert_eq!(Effect::with_parameters(effect.name(), &names), Some(effect), "{effect:?}");
+            for p in effect.parameters() {
+                assert!(p.low <= p.high && !(p.null < p.low || p.null > p.high), "{effect:?}: {}", p.name);
+            }
+            assert!(!effect.places().is_empty() && !effect.sentence().is_empty());
+        }
+        assert_eq!(
+            Effect::with_parameters("lag", &["damping", "time_constant"]),
+            Some(Effect::LagSecondOrder)
+        );
+        assert_eq!(Effect::with_parameters("lag", &["delay"]), None);
+    }
+
+    /// The names and parameters that reports and files rely on.
+    #[test]
+    fn names_are_those_of_the_format() {
+        let expected = "delay{delay} jitter{spread} drops{rate} clock_skew{skew} gain{gain} offset{offset} \
+            lag{time_constant} saturation{low,high} deadband{width} rate_limit{rate} backlash{gap} supply_sag{exponent} \
+            viscous{coefficient} coulomb{force} stribeck{coulomb,extra,stribeck_speed} load_friction{ratio} \
+            asymmetric_friction{forward,backward} quadratic_drag{coefficient} cogging{amplitude,wavenumber,phase} \
+            inertia{added} payload{mass} gravity_tilt{angle} spring{stiffness,rest} \
+            flexibility{stiffness,damping,ratio} constant_force{force} end_stop{limit,stiffness} parameter{value} \
+            wind{force} periodic_disturbance{amplitude,frequency,phase} bias{bias} scale{scale} noise{std} \
+            quantization{step} sensor_lag{time_constant} drift{rate} outliers{rate} sensor_saturation{low,high} \
+            stuck{rate}";
+        for text in expected.split_whitespace() {
+            let (name, rest) = text.split_once('{').unwrap();
+            let parameters: Vec<&str> = rest.trim_end_matches('}').split(',').collect();
+            let first = Effect::from_name(name).unwrap();
+            let own: Vec<&str> = first.parameters().iter().map(|p| p.name).collect();
+            assert_eq!(own, parameters, "{name}");
+        }
+        assert_eq!(
+            expected.split_whitespace().count(),
+            Effect::ALL.iter().map(|e| e.name()).collect::<std::collections::BTreeSet<_>>().len()
+        );
+    }
 }

@@ -5,6 +5,7 @@ use super::error::{Location, Suggestion, SystemError};
 use super::expression::{Expression, Function, Operation};
 use super::parts::Entry;
 use crate::Scalar;
+use crate::effect::{Effect, Place, PlaceError, PlaceKind};
 
 /// Where a system is evaluated.
 #[derive(Clone, Copy, Debug)]
@@ -59,6 +60,20 @@ pub struct Equations {
     derivatives: Vec<Bound>,
     outputs: Vec<Bound>,
     joints: Vec<BoundJoint>,
+    effects: Vec<OwnEffect>,
+}
+
+/// An effect that is part of the system: an `[[effect]]` inside the plant, bound to its place.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OwnEffect {
+    /// The effect, in the form that the entry's parameters decide.
+    pub effect: Effect,
+    /// What the index counts.
+    pub kind: PlaceKind,
+    /// Index of the place among the system's inputs, outputs, joints, states or parameters.
+    pub index: usize,
+    /// Its parameters, in the effect's order.
+    pub values: Vec<f64>,
 }
 
 /// What a name stands for.
@@ -114,7 +129,13 @@ impl Equations {
                 payload: bind_payload(&system, joint)?,
             });
         }
-        Ok(Self { lets, derivatives, outputs, joints, system })
+        let effects = own_effects(&system)?;
+        Ok(Self { lets, derivatives, outputs, joints, effects, system })
+    }
+
+    /// The effects that are part of the system and act inside it. Those on connections and nodes belong to a graph.
+    pub fn effects(&self) -> &[OwnEffect] {
+        &self.effects
     }
 
     /// The system that these are the equations of.
@@ -216,6 +237,37 @@ impl Equations {
             }
         }
     }
+}
+
+fn own_effects(system: &System) -> Result<Vec<OwnEffect>, SystemError> {
+    let mut own = Vec::with_capacity(system.effects.len());
+    for entry in &system.effects {
+        let at = || Location::new(&system.file, entry.line);
+        let bad = |problem: String| SystemError::BadValue {
+            at: at(),
+            field: format!("[[effect]] `{}`", entry.name).into(),
+            problem: problem.into(),
+        };
+        let (effect, values) = entry.resolve().map_err(bad)?;
+        let place: Place = entry.place.parse().map_err(|error: PlaceError| bad(error.to_string()))?;
+        let index = match place.kind {
+            PlaceKind::Input => system.input(&place.key),
+            PlaceKind::Output => system.output(&place.key),
+            PlaceKind::Joint => system.joint(&place.key),
+            PlaceKind::State => system.state(&place.key),
+            PlaceKind::Parameter => system.parameter(&place.key),
+            PlaceKind::Connection | PlaceKind::Node => continue,
+        };
+        let Some(index) = index else {
+            return Err(bad(format!("there is no {} `{}`", place.kind.name(), place.key)));
+        };
+        if place.kind == PlaceKind::Joint {
+            let supported = system.joints[index].supports(effect);
+            supported.map_err(|reason| bad(format!("it cannot act at {place}: {reason}")))?;
+        }
+        own.push(OwnEffect { effect, kind: place.kind, index, values });
+    }
+    Ok(own)
 }
 
 fn bind(system: &System, expression: &Expression) -> Result<Bound, SystemError> {

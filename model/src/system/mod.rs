@@ -55,7 +55,7 @@ mod read;
 mod signals;
 mod table;
 
-pub use equations::{Equations, JointValues, Point, Values};
+pub use equations::{Equations, JointValues, OwnEffect, Point, Values};
 pub use error::{Excerpt, Location, Suggestion, SystemError, nearest};
 pub use expression::Expression;
 pub use parts::{EffectEntry, Entry, Initial, Input, Joint, Let, Output, Parameter, State, Supply};

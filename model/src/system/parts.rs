@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::expression::Expression;
+use crate::effect::Effect;
 
 /// A number that the equations may name.
 #[derive(Clone, Debug, PartialEq)]
@@ -158,6 +159,42 @@ impl Joint {
     }
 }
 
+impl Joint {
+    /// Whether the joint states what an effect needs, or why not: the reason completes the sentence "not testable: …".
+    pub fn supports(&self, effect: Effect) -> Result<(), &'static str> {
+        if effect == Effect::WindSpeed {
+            return if self.air.is_some() { Ok(()) } else { Err("the joint names no `air`") };
+        }
+        if effect == Effect::Payload && !self.payload.is_empty() {
+            return Ok(());
+        }
+        self.entry()?;
+        let needs = |present: bool, reason| if present { Ok(()) } else { Err(reason) };
+        match effect {
+            Effect::LoadFriction => {
+                needs(self.drive.is_some(), "the joint names no `drive`")?;
+                needs(self.load.is_some(), "the joint names no `load`")
+            }
+            Effect::GravityTilt => {
+                needs(self.load.is_some(), "the joint names no `load`")?;
+                needs(self.position_state.is_some(), "the joint's `position` is not a state")
+            }
+            Effect::Payload => {
+                needs(self.lever.is_some(), "the joint names neither `lever` nor `payload`")?;
+                needs(self.velocity_state.is_some(), "the joint's `velocity` is not a state")
+            }
+            Effect::Inertia | Effect::FlexibilityFar => {
+                needs(self.velocity_state.is_some(), "the joint's `velocity` is not a state")
+            }
+            Effect::Flexibility => {
+                needs(self.velocity_state.is_some(), "the joint's `velocity` is not a state")?;
+                needs(self.drive.is_some(), "the joint names no `drive`")
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
 /// A departure from the equations that is part of the system: an `[[effect]]` of the file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EffectEntry {
@@ -169,4 +206,46 @@ pub struct EffectEntry {
     pub parameters: Vec<(String, f64)>,
     /// Line of the entry in `system.toml`; 0 for one that is not from a file.
     pub line: usize,
+}
+
+impl EffectEntry {
+    /// The effect that the entry means, in the form that has its parameters, and their values in the effect's order.
+    ///
+    /// # Errors
+    ///
+    /// Why there is none, as the end of a sentence.
+    pub fn resolve(&self) -> Result<(Effect, Vec<f64>), String> {
+        let given: Vec<&str> = self.parameters.iter().map(|(name, _)| name.as_str()).collect();
+        let Some(effect) = Effect::with_parameters(&self.name, &given) else {
+            let forms: Vec<String> = Effect::forms(&self.name)
+                .map(|form| {
+                    let names: Vec<&str> = form.parameters().iter().map(|p| p.name).collect();
+                    format!("{{{}}}", names.join(", "))
+                })
+                .collect();
+            return Err(if forms.is_empty() {
+                format!("there is no effect `{}`", self.name)
+            } else {
+                format!(
+                    "`{}` takes the parameters {}, and the entry gives {{{}}}",
+                    self.name,
+                    forms.join(" or "),
+                    given.join(", ")
+                )
+            });
+        };
+        let mut values = Vec::with_capacity(given.len());
+        for parameter in effect.parameters() {
+            let value =
+                self.parameters.iter().find(|(name, _)| name == parameter.name).map_or(0.0, |(_, v)| *v);
+            if value < parameter.low || value > parameter.high {
+                return Err(format!(
+                    "`{}` is {value}, and can only lie between {} and {}",
+                    parameter.name, parameter.low, parameter.high
+                ));
+            }
+            values.push(value);
+        }
+        Ok((effect, values))
+    }
 }

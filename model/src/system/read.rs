@@ -10,6 +10,7 @@ use super::lexer::{is_name_part, is_name_start};
 use super::parts::{EffectEntry, Initial, Input, Joint, Let, Output, Parameter, State, Supply};
 use super::table::{Field, Source, Table};
 use super::{System, order};
+use crate::effect::{Effect, Place, PlaceKind};
 
 const SECTIONS: [&str; 9] =
     ["format", "name", "parameters", "inputs", "let", "state", "outputs", "joints", "effect"];
@@ -286,16 +287,54 @@ fn index_of<'a>(
 
 fn effect(table: &Table<'_>, system: &System) -> Result<EffectEntry, SystemError> {
     table.only(&["name", "place", "parameters"])?;
-    let name = table.needed("name", "name the effect, such as `name = \"delay\"`")?.string()?;
+    let named = table.needed("name", "name the effect, such as `name = \"delay\"`")?;
+    let name = named.string()?;
     let place = table.needed("place", "say where it acts, such as `place = \"input:u\"`")?;
     check_place(&place, table, system)?;
+    let Some(effect) = Effect::from_name(name) else {
+        return Err(SystemError::Absent {
+            at: named.value_at(),
+            within: table.what.as_str().into(),
+            kind: "the effect",
+            name: name.into(),
+            suggestion: Suggestion::nearest(name, Effect::ALL.into_iter().map(Effect::name)),
+        });
+    };
     let mut parameters = Vec::new();
     if let Some(field) = table.field("parameters") {
         for field in field.table()?.fields() {
             parameters.push((field.key.to_owned(), field.number()?));
         }
     }
-    Ok(EffectEntry { name: name.into(), place: place.string()?.into(), parameters, line: table.at.line })
+    let entry =
+        EffectEntry { name: name.into(), place: place.string()?.into(), parameters, line: table.at.line };
+    check_effect(&entry, effect, &place, &named)?;
+    Ok(entry)
+}
+
+/// The effect's parameters must be those of one of its forms, and it must be able to act where it is put.
+fn check_effect(
+    entry: &EffectEntry,
+    named: Effect,
+    place: &Field<'_>,
+    name: &Field<'_>,
+) -> Result<(), SystemError> {
+    let effect = match entry.resolve() {
+        Ok((effect, _)) => effect,
+        Err(problem) => return Err(name.bad(&problem)),
+    };
+    let Ok(at) = entry.place.parse::<Place>() else { return Ok(()) };
+    let graph = matches!(at.kind, PlaceKind::Connection | PlaceKind::Node);
+    if !graph && !effect.places().contains(&at.kind) {
+        let kinds: Vec<&str> = named.places().iter().map(|kind| kind.name()).collect();
+        return Err(place.bad(&format!(
+            "`{}` cannot act at {}; it acts at {}",
+            entry.name,
+            entry.place,
+            kinds.join(" or ")
+        )));
+    }
+    Ok(())
 }
 
 /// A place inside the plant must exist; connections and nodes belong to a graph, which is not known here.

@@ -1,0 +1,197 @@
+//! Effects between a command and the plant, and on when a reading is taken: the part of a hypothesis that acts on a
+//! recording's stamps and held values, before the equations see them.
+//!
+//! A command is a sequence of values, each held until the next. What changes a value alone changes the sequence. What
+//! has a memory (a lag, a limited rate) is not constant between two commands: the sequence is cut into pieces shorter
+//! than an integration step, over which its mean stands for it, exactly integrated. A delay moves the sequence in time
+//! and keeps its derivative, so that fractional delays are smooth.
+
+use parallax_model::Dual;
+use parallax_model::effect::{
+    Effect, PlaceKind, lag_second_order_step, lag_step, play_step, rate_limit_step, sag,
+};
+use parallax_model::plant::{BoundEffect, Plant};
+
+use crate::experiment::Experiment;
+
+/// A command's value from a time on.
+#[derive(Clone, Copy, Debug)]
+pub struct Change<const N: usize> {
+    /// When it begins to act (s).
+    pub time: Dual<N>,
+    /// What reaches the equations.
+    pub value: Dual<N>,
+}
+
+/// A value held over an interval that begins at a stamp.
+struct Piece<const N: usize> {
+    stamp: f64,
+    length: f64,
+    value: Dual<N>,
+}
+
+/// How long a command is followed after its last stamp, in time constants of what smooths it.
+const SETTLING: f64 = 6.0;
+
+/// The command of one input as it reaches the plant's equations; `extra` are the plant's extra parameters and `step`
+/// the longest integration step (s).
+#[must_use]
+pub fn changes<const N: usize>(
+    plant: &Plant,
+    experiment: &Experiment,
+    step: f64,
+    extra: &[Dual<N>],
+    input: usize,
+) -> Vec<Change<N>> {
+    let here: Vec<(&BoundEffect, Vec<Dual<N>>)> = plant
+        .effects_at(PlaceKind::Input, input)
+        .into_iter()
+        .map(|bound| (bound, plant.own(bound, extra)))
+        .collect();
+    let mut pieces = sent(experiment, input, here.iter().any(|(b, _)| b.effect == Effect::SupplySag));
+    let mut cut = false;
+    for (bound, own) in &here {
+        if bound.effect.has_memory() && bound.effect != Effect::Backlash && !cut {
+            pieces = into_pieces(&pieces, step, tail(&here, &pieces));
+            cut = true;
+        }
+        act(bound.effect, own, experiment, input, &mut pieces);
+    }
+    let mut out: Vec<Change<N>> = Vec::with_capacity(pieces.len());
+    for piece in &pieces {
+        let time = arrival(&here, Dual::from_value(piece.stamp));
+        out.push(Change { time, value: piece.value });
+    }
+    out
+}
+
+/// When a reading was taken that is stamped `stamp` (s).
+#[must_use]
+pub fn taken<const N: usize>(plant: &Plant, extra: &[Dual<N>], output: usize, stamp: f64) -> Dual<N> {
+    let mut time = Dual::from_value(stamp);
+    for bound in plant.effects_at(PlaceKind::Output, output) {
+        let own = || plant.own(bound, extra)[0];
+        match bound.effect {
+            Effect::Delay => time -= own(),
+            // The stamp is t (1 + skew).
+            Effect::ClockSkew => time = time / (own() + 1.0),
+            _ => {}
+        }
+    }
+    time
+}
+
+/// When a command acts that is stamped `stamp`: its delay grows with time where the clock is skewed.
+fn arrival<const N: usize>(here: &[(&BoundEffect, Vec<Dual<N>>)], stamp: Dual<N>) -> Dual<N> {
+    let mut time = stamp;
+    for (bound, own) in here {
+        match bound.effect {
+            Effect::Delay => time += own[0],
+            Effect::ClockSkew => time += own[0] * stamp.value,
+            _ => {}
+        }
+    }
+    time
+}
+
+/// The commands as they were sent; changes of the supply voltage cut them, if it matters.
+fn sent<const N: usize>(experiment: &Experiment, input: usize, supplied: bool) -> Vec<Piece<N>> {
+    let held = &experiment.inputs[input];
+    let mut stamps = held.times.clone();
+    if let (true, Some(supply)) = (supplied, experiment.supply(input)) {
+        let begin = held.times.first().copied().unwrap_or(0.0);
+        stamps.extend(supply.voltage.times.iter().filter(|t| **t > begin));
+        stamps.sort_by(f64::total_cmp);
+        stamps.dedup();
+    }
+    let lengths = stamps.windows(2).map(|w| w[1] - w[0]).chain([0.0]);
+    let value = |stamp: f64| Dual::from_value(held.at(stamp));
+    // The sequence as it was recorded is kept where nothing cuts it: two commands may share a stamp.
+    if stamps.len() == held.times.len() {
+        let values = held.values.iter().map(|v| Dual::from_value(*v));
+        return stamps
+            .iter()
+            .zip(lengths)
+            .zip(values)
+            .map(|((stamp, length), value)| Piece { stamp: *stamp, length, value })
+            .collect();
+    }
+    stamps
+        .iter()
+        .zip(lengths)
+        .map(|(stamp, length)| Piece { stamp: *stamp, length, value: value(*stamp) })
+        .collect()
+}
+
+/// How long the command still moves after its last stamp (s).
+fn tail<const N: usize>(here: &[(&BoundEffect, Vec<Dual<N>>)], pieces: &[Piece<N>]) -> f64 {
+    let range = pieces.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), p| {
+        (low.min(p.value.value), high.max(p.value.value))
+    });
+    let way = (range.1 - range.0).max(0.0);
+    let each = here.iter().map(|(bound, own)| match bound.effect {
+        Effect::Lag => SETTLING * own[0].value,
+        // A lightly damped one rings for 1/ζ as long.
+        Effect::LagSecondOrder => SETTLING * own[0].value * own[1].value.max(1.0 / own[1].value.max(0.05)),
+        Effect::RateLimit if own[0].value > 0.0 => (way / own[0].value).min(1.0),
+        _ => 0.0,
+    });
+    each.sum()
+}
+
+/// Cuts intervals to at most half a step: the mean of a smoothed command stands for it over a piece.
+fn into_pieces<const N: usize>(pieces: &[Piece<N>], step: f64, tail: f64) -> Vec<Piece<N>> {
+    let mut out = Vec::with_capacity(4 * pieces.len());
+    for (k, piece) in pieces.iter().enumerate() {
+        let length = if k + 1 == pieces.len() { tail + step } else { piece.length };
+        let count = (2.0 * length / step - 1e-6).ceil().max(1.0);
+        for part in 0..count as usize {
+            let stamp = piece.stamp + length / count * part as f64;
+            out.push(Piece { stamp, length: length / count, value: piece.value });
+        }
+    }
+    out
+}
+
+/// What one effect makes of the sequence. What has a memory has settled at the first command.
+fn act<const N: usize>(
+    effect: Effect,
+    own: &[Dual<N>],
+    experiment: &Experiment,
+    input: usize,
+    pieces: &mut [Piece<N>],
+) {
+    let Some(first) = pieces.first().map(|p| p.value) else { return };
+    let mut state = first;
+    let mut rate = Dual::from_value(0.0);
+    let supply = experiment.supply(input);
+    for piece in pieces {
+        // Two commands at one stamp: the first acts for no time.
+        let dt = Dual::from_value(piece.length.max(1e-12));
+        piece.value = match effect {
+            Effect::Lag => {
+                let (mean, end) = lag_step(own[0], state, piece.value, dt);
+                state = end;
+                mean
+            }
+            Effect::LagSecondOrder => {
+                let (mean, end) = lag_second_order_step(own[0], own[1], (state, rate), piece.value, dt);
+                (state, rate) = end;
+                mean
+            }
+            Effect::RateLimit => {
+                let (mean, end) = rate_limit_step(own[0], state, piece.value, dt);
+                state = end;
+                mean
+            }
+            Effect::Backlash => {
+                state = play_step(own[0], state, piece.value);
+                state
+            }
+            Effect::SupplySag => {
+                supply.map_or(piece.value, |supply| sag(own[0], supply.ratio(piece.stamp), piece.value))
+            }
+            effect => effect.input(own, piece.value),
+        };
+    }
+}

@@ -1,0 +1,338 @@
+//! What is believed of an effect's parameters before the fit: prior, bounds, natural size and starts, from the ranges
+//! of the log and from what machines are like.
+
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
+
+use parallax_model::effect::{Effect, EffectParameter, PlaceKind, Quantity};
+
+use super::testable::LARGEST_SKEW;
+use crate::hypothesis::{EffectAt, Fitted, Prior, Slot};
+use crate::setup::{JointScale, Range, Setup};
+
+/// The entry of θ for one parameter of an effect at the place of this index.
+pub(super) fn fitted(
+    setup: &Setup,
+    at: &EffectAt,
+    index: usize,
+    spec: &EffectParameter,
+    slot: Slot,
+) -> Fitted {
+    let mut fitted = Fitted {
+        slot,
+        name: spec.name.into(),
+        unit: unit(setup, at.place.kind, index, spec.quantity),
+        null: spec.null,
+        prior: Prior::Uniform { low: 0.0, high: 1.0 },
+        low: spec.low,
+        high: spec.high,
+        scale: 1.0,
+        starts: Vec::new(),
+    };
+    size(setup, at, index, spec, &mut fitted);
+    fitted
+}
+
+/// A normal prior around the null value, one-sided where the parameter cannot be negative, bounds at twenty times its
+/// size within the physical range, and starts in units of it.
+fn sized(fitted: &mut Fitted, size: f64, starts: &[f64]) {
+    let null = if fitted.null.is_finite() { fitted.null } else { 0.0 };
+    let one_sided = fitted.low >= 0.0 && null == 0.0;
+    fitted.scale = 0.2 * size;
+    fitted.prior =
+        if one_sided { Prior::HalfNormal { std: size } } else { Prior::Normal { mean: null, std: size } };
+    fitted.low = fitted.low.max(null - 20.0 * size);
+    fitted.high = fitted.high.min(null + 20.0 * size);
+    fitted.starts = starts.iter().map(|s| null + s * size).collect();
+}
+
+/// A flat prior between bounds.
+fn flat(fitted: &mut Fitted, low: f64, high: f64, starts: Vec<f64>) {
+    (fitted.low, fitted.high) = (low, high);
+    fitted.prior = Prior::Uniform { low, high };
+    fitted.scale = 0.1 * (high - low);
+    fitted.starts = starts;
+}
+
+fn size(setup: &Setup, at: &EffectAt, index: usize, spec: &EffectParameter, fitted: &mut Fitted) {
+    use Quantity as Q;
+    match spec.quantity {
+        Q::Time => {
+            // A robot's delays are tens of milliseconds; a slow process' are a few of its samples.
+            let (from, to) = setup.experiment.span();
+            let size = (5.0 * setup.period).max(0.05);
+            sized(fitted, size, &[0.1, 0.5, 1.5]);
+            fitted.high = (6.0 * size).min(0.25 * (to - from));
+        }
+        Q::Damping => {
+            fitted.prior = Prior::Normal { mean: 0.8, std: 0.4 };
+            (fitted.scale, fitted.starts) = (0.2, vec![0.7]);
+        }
+        Q::Ratio if at.effect == Effect::ClockSkew => {
+            sized(fitted, 0.3 * LARGEST_SKEW, &[0.0]);
+            (fitted.low, fitted.high) = (-2.0 * LARGEST_SKEW, 2.0 * LARGEST_SKEW);
+        }
+        Q::Ratio => {
+            sized(fitted, 0.3, &[0.0]);
+            fitted.low = 0.02;
+        }
+        Q::Exponent => sized(fitted, 1.5, &[0.0]),
+        Q::Share => sized(fitted, 0.05, &[0.2]),
+        Q::LoadShare => sized(fitted, 0.2, &[0.1, 0.7]),
+        Q::Level | Q::LevelRate | Q::PerLevel | Q::Low | Q::High => level(setup, at, index, spec, fitted),
+        Q::Reading => {
+            sized(fitted, 0.3 * setup.output_scale[index].max(setup.output_noise[index]), &[0.0]);
+        }
+        Q::ReadingRate => {
+            let (from, to) = setup.experiment.span();
+            let size = 0.3 * setup.output_scale[index].max(setup.output_noise[index]);
+            sized(fitted, size / (to - from).max(1e-9), &[0.0]);
+        }
+        Q::Parameter => {}
+        _ => joint(setup, index, at.effect, spec.quantity, fitted),
+    }
+}
+
+/// Parameters in the unit of a command, a state or a reading.
+fn level(setup: &Setup, at: &EffectAt, index: usize, spec: &EffectParameter, fitted: &mut Fitted) {
+    let range: &Range = match at.place.kind {
+        PlaceKind::State => &setup.state_range[index],
+        PlaceKind::Output => &setup.output_range[index],
+        _ => &setup.input_range[index],
+    };
+    match spec.quantity {
+        Quantity::Low | Quantity::High => {
+            let upper = spec.quantity == Quantity::High;
+            let (low, high) = if upper { (range.middle(), range.high) } else { (range.low, range.middle()) };
+            fitted.null = if upper { high } else { low };
+            let starts = [0.05, 0.3, 0.6].map(|s| fitted.null + s * (range.middle() - fitted.null));
+            flat(fitted, low, high, starts.to_vec());
+        }
+        Quantity::Level if at.effect == Effect::SaturationSoft => {
+            sized(fitted, 0.15 * range.width().max(1e-12), &[0.3]);
+        }
+        Quantity::LevelRate => {
+            let top = fastest(setup, index);
+            flat(fitted, 0.005 * top, 2.0 * top, [0.5, 0.2, 0.06].map(|s| s * top).to_vec());
+            // Beyond any change in the log; an infinity has no place in a list of numbers.
+            fitted.null = 1e6 * top;
+        }
+        Quantity::PerLevel => {
+            let largest = range.low.abs().max(range.high.abs()).max(1e-12);
+            sized(fitted, 0.2 / largest, &[0.0]);
+            fitted.high = 0.9 / largest;
+        }
+        _ if at.effect == Effect::Offset => sized(fitted, 0.5 * range.std.max(1e-12), &[0.1]),
+        _ => sized(fitted, 0.5 * range.std.max(1e-12), &[0.1, 0.8]),
+    }
+}
+
+/// The fastest change of a command that is not rare: the 98th percentile of those that change at all.
+fn fastest(setup: &Setup, input: usize) -> f64 {
+    let held = &setup.experiment.inputs[input];
+    let steps = held.times.windows(2).zip(held.values.windows(2));
+    let mut rates: Vec<f64> = steps
+        .map(|(t, v)| ((v[1] - v[0]) / (t[1] - t[0]).max(1e-9)).abs())
+        .filter(|rate| *rate > 0.0)
+        .collect();
+    if rates.is_empty() { 1.0 } else { crate::statistics::quantile(&mut rates, 0.98).max(1e-12) }
+}
+
+/// Parameters in units of a joint's motion.
+fn joint(setup: &Setup, index: usize, effect: Effect, quantity: Quantity, fitted: &mut Fitted) {
+    use Quantity as Q;
+    let scale = &setup.joints[index];
+    let (force, speed) = (scale.force, scale.speed);
+    let width = scale.position.width().max(1e-12);
+    match quantity {
+        Q::Force => match effect {
+            Effect::Cogging | Effect::PeriodicDisturbance => sized(fitted, 0.5 * force, &[0.2]),
+            Effect::ConstantForce | Effect::Wind => sized(fitted, 0.5 * force, &[0.0]),
+            Effect::Stribeck => sized(fitted, 0.5 * force, &[0.05, 0.2]),
+            _ => sized(fitted, 0.5 * force, &[0.05, 0.4]),
+        },
+        Q::ForcePerSpeed if effect == Effect::AsymmetricViscous => {
+            sized(fitted, 0.5 * force / speed, &[0.01, 0.3]);
+        }
+        Q::ForcePerSpeed => sized(fitted, 0.5 * force / speed, &[0.0, 0.3]),
+        Q::ForcePerSpeedSquared => sized(fitted, 0.5 * force / (speed * speed), &[0.0, 0.3]),
+        Q::StribeckSpeed => {
+            let low = (3.0 * scale.smoothing).max(0.01 * speed);
+            let high = (2.0 * speed).max(2.0 * low);
+            fitted.null = high;
+            flat(fitted, low, high, [0.1, 0.5].map(|s| (s * speed).clamp(low, high)).to_vec());
+        }
+        Q::Wavenumber => {
+            let high = (64.0 * TAU / width).max(48.0);
+            let mut starts = scale.wavenumbers.clone();
+            if starts.is_empty() {
+                starts.push(TAU / width);
+            }
+            fitted.null = starts[0];
+            flat(fitted, 0.0, high, starts);
+            fitted.scale = 0.2 * PI / width;
+        }
+        Q::Frequency => {
+            let (from, to) = setup.experiment.span();
+            let mut starts = setup.frequencies.clone();
+            if starts.is_empty() {
+                starts.push(4.0 / (to - from).max(1e-9));
+            }
+            fitted.null = starts[0];
+            flat(fitted, 1.0 / (to - from).max(1e-9), 0.5 / setup.period, starts);
+            fitted.scale = 0.1 / (to - from).max(1e-9);
+        }
+        Q::Phase => {
+            fitted.prior = Prior::Uniform { low: -PI, high: PI };
+            (fitted.scale, fitted.starts) = (0.3, vec![0.0]);
+        }
+        Q::Inertia => {
+            sized(fitted, 0.3 * scale.inertia, &[0.0]);
+            fitted.low = -0.9 * scale.inertia;
+        }
+        Q::Mass => {
+            let size = 0.3 * mass(setup, index);
+            sized(fitted, size, &[0.0]);
+            fitted.low = -0.9 * size / 0.3;
+        }
+        Q::Angle => {
+            sized(fitted, 0.15, &[0.0]);
+            (fitted.low, fitted.high) = (-FRAC_PI_2, FRAC_PI_2);
+        }
+        Q::Stiffness => sized(fitted, 0.5 * force / width, &[0.05, 0.4]),
+        Q::Position => {
+            fitted.prior = Prior::Normal { mean: scale.position.middle(), std: width };
+            let (middle, reach) = (scale.position.middle(), 10.0 * width);
+            (fitted.low, fitted.high) = (middle - reach, middle + reach);
+            (fitted.scale, fitted.starts) = (0.2 * width, vec![middle]);
+        }
+        Q::FlexibleStiffness | Q::FlexibleDamping | Q::FarShare => flexible(setup, scale, quantity, fitted),
+        Q::UpperStop | Q::LowerStop => {
+            let upper = quantity == Q::UpperStop;
+            let (low, high) = if upper {
+                (scale.position.middle(), scale.position.high)
+            } else {
+                (scale.position.low, scale.position.middle())
+            };
+            fitted.null = if upper { high } else { low };
+            let starts = [0.1, 0.4].map(|s| fitted.null + s * (scale.position.middle() - fitted.null));
+            flat(fitted, low, high, starts.to_vec());
+        }
+        Q::StopStiffness => {
+            // A stop may be as stiff as an integration step can follow.
+            let stiffest = scale.inertia / (setup.step * setup.step);
+            let size = (20.0 * force / width).min(0.5 * stiffest);
+            sized(fitted, size, &[0.2]);
+            fitted.high = stiffest;
+        }
+        Q::AirSpeed => sized(fitted, speed, &[0.0]),
+        _ => {}
+    }
+}
+
+/// The mass that a joint carries, from its inertia and its lever; one kilogram where neither says.
+fn mass(setup: &Setup, joint: usize) -> f64 {
+    let system = setup.equations.system();
+    let nominal = setup.equations.nominal();
+    let zeros = vec![0.0; system.states.len()];
+    let inputs = vec![0.0; system.inputs.len()];
+    let point =
+        parallax_model::system::Point { parameters: &nominal, states: &zeros, inputs: &inputs, time: 0.0 };
+    let lets = setup.equations.lets(&point, &[]);
+    match setup.equations.joint(joint, &point, &lets).lever {
+        Some(lever) if lever.abs() > 0.0 && system.joints[joint].payload.is_empty() => {
+            setup.joints[joint].inertia / (lever * lever)
+        }
+        _ => {
+            // A payload's mapping moves parameters; a mass that doubles the most sensitive of them is large.
+            let heavier = setup.equations.loaded(joint, &nominal, 1.0);
+            let relative = heavier.iter().zip(&nominal).map(|(a, b)| (a - b).abs() / b.abs().max(1e-9));
+            let most = relative.fold(0.0, f64::max);
+            if most > 0.0 { 1.0 / most } else { 1.0 }
+        }
+    }
+}
+
+/// A spring inside a joint, by the frequency at which equal halves of the joint would swing against each other.
+fn flexible(setup: &Setup, scale: &JointScale, quantity: Quantity, fitted: &mut Fitted) {
+    let highest = 0.35 / setup.period;
+    let stiffness = |hertz: f64| (TAU * hertz).powi(2) * scale.inertia * 0.25;
+    let hertz = [0.12, 0.3, 0.7].map(|share: f64| share * highest);
+    match quantity {
+        Quantity::FlexibleStiffness => {
+            let (low, high) = (stiffness(0.02 * highest), stiffness(highest));
+            flat(fitted, low, high, hertz.map(stiffness).to_vec());
+            fitted.null = high;
+            fitted.scale = 0.2 * stiffness(hertz[0]);
+        }
+        Quantity::FlexibleDamping => {
+            // Two ζ √(k J/4), with ζ of a tenth.
+            let damping = |hertz: f64| 0.2 * (stiffness(hertz) * 0.25 * scale.inertia).sqrt();
+            sized(fitted, 3.0 * damping(hertz[1]), &[0.0]);
+            fitted.starts = hertz.map(damping).to_vec();
+        }
+        _ => {
+            flat(fitted, 0.0, 0.95, vec![0.3]);
+        }
+    }
+}
+
+/// The label of a parameter's unit; empty where it has none or none is known.
+fn unit(setup: &Setup, kind: PlaceKind, index: usize, quantity: Quantity) -> String {
+    use Quantity as Q;
+    let system = setup.equations.system();
+    let own = match kind {
+        PlaceKind::Input => setup.experiment.input_units.get(index).cloned().unwrap_or_default(),
+        PlaceKind::Output => system.outputs[index].unit.clone(),
+        PlaceKind::State => {
+            let name = system.states[index].name.as_str();
+            let shown = system.outputs.iter().find(|o| o.value.text().trim() == name);
+            shown.map(|o| o.unit.clone()).unwrap_or_default()
+        }
+        PlaceKind::Parameter => system.parameters[index].unit.clone(),
+        _ => String::new(),
+    };
+    let per = |unit: &str| if unit.is_empty() { String::new() } else { format!("{unit}/s") };
+    match quantity {
+        Q::Time => "s".into(),
+        Q::Phase | Q::Angle => "rad".into(),
+        Q::Mass => "kg".into(),
+        Q::Frequency => "Hz".into(),
+        Q::Level | Q::Low | Q::High | Q::Reading | Q::Parameter => own,
+        Q::LevelRate | Q::ReadingRate => per(&own),
+        Q::PerLevel if !own.is_empty() => format!("1/{own}"),
+        Q::PerLevel
+        | Q::Ratio
+        | Q::Share
+        | Q::Damping
+        | Q::Exponent
+        | Q::LoadShare
+        | Q::FarShare
+        | Q::AirSpeed => String::new(),
+        _ => joint_unit(setup, index, quantity).into(),
+    }
+}
+
+/// Units of a joint's quantities, from the unit in which its position is read; units are labels, so where no output
+/// reads the position there is none.
+fn joint_unit(setup: &Setup, joint: usize, quantity: Quantity) -> &'static str {
+    use Quantity as Q;
+    let system = setup.equations.system();
+    let position = system.joints[joint].position.text().trim();
+    let read = system.outputs.iter().find(|o| o.value.text().trim() == position).map(|o| o.unit.as_str());
+    let [rotating, sliding] = match quantity {
+        Q::Force => ["N m", "N"],
+        Q::ForcePerSpeed | Q::FlexibleDamping => ["N m s/rad", "N s/m"],
+        Q::ForcePerSpeedSquared => ["N m s^2/rad^2", "N s^2/m^2"],
+        Q::StribeckSpeed => ["rad/s", "m/s"],
+        Q::Wavenumber => ["1/rad", "rad/m"],
+        Q::Inertia => ["kg m^2", "kg"],
+        Q::Stiffness | Q::StopStiffness | Q::FlexibleStiffness => ["N m/rad", "N/m"],
+        Q::Position | Q::UpperStop | Q::LowerStop => ["rad", "m"],
+        _ => ["", ""],
+    };
+    match read {
+        Some("rad") => rotating,
+        Some("m") => sliding,
+        _ => "",
+    }
+}

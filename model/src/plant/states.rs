@@ -1,0 +1,139 @@
+//! States that effects bring with them, and states that effects hold within bounds.
+
+use super::forces::Forces;
+use super::{BoundEffect, Plant};
+use crate::Scalar;
+use crate::effect::{Effect, PlaceKind};
+use crate::system::{Point, Values};
+
+/// A state beyond the nominal ones.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ExtraState {
+    /// What a lagging sensor shows, in the output's unit.
+    Reading {
+        /// Index among the plant's effects.
+        effect: usize,
+        /// Index of the output.
+        output: usize,
+    },
+    /// How far the far side of a spring is ahead of its joint, in the joint's unit.
+    Deflection {
+        /// Index among the plant's effects.
+        effect: usize,
+        /// Index of the joint.
+        joint: usize,
+    },
+    /// How fast that changes, per second.
+    DeflectionRate {
+        /// Index among the plant's effects.
+        effect: usize,
+        /// Index of the joint.
+        joint: usize,
+    },
+}
+
+/// The states that these effects bring.
+pub(super) fn of(effects: &[BoundEffect]) -> Vec<ExtraState> {
+    let mut states = Vec::new();
+    for (effect, bound) in effects.iter().enumerate() {
+        match bound.effect {
+            Effect::SensorLag => states.push(ExtraState::Reading { effect, output: bound.index }),
+            Effect::Flexibility | Effect::FlexibilityFar => states.extend([
+                ExtraState::Deflection { effect, joint: bound.index },
+                ExtraState::DeflectionRate { effect, joint: bound.index },
+            ]),
+            _ => {}
+        }
+    }
+    states
+}
+
+impl Plant {
+    /// How many states there are, the extra ones included.
+    #[must_use]
+    pub fn states(&self) -> usize {
+        self.equations.system().states.len() + self.extra_states.len()
+    }
+
+    /// The states beyond the nominal ones.
+    #[must_use]
+    pub fn extra_states(&self) -> &[ExtraState] {
+        &self.extra_states
+    }
+
+    /// A full state from the nominal one, the states of `point`: sensors have settled, springs are at rest.
+    #[must_use]
+    pub fn start(&self, point: &Point<'_, f64>) -> Vec<f64> {
+        let n = self.equations.system().states.len();
+        let mut states = point.states[..n].to_vec();
+        if self.extra_states.is_empty() {
+            return states;
+        }
+        let values = self.equations.values(&Point { states: &point.states[..n], ..*point }, &[]);
+        states.extend(self.extra_states.iter().map(|state| match *state {
+            ExtraState::Reading { output, .. } => values.outputs[output],
+            ExtraState::Deflection { .. } | ExtraState::DeflectionRate { .. } => 0.0,
+        }));
+        states
+    }
+
+    /// Names of all states.
+    #[must_use]
+    pub fn state_names(&self) -> Vec<String> {
+        let system = self.equations.system();
+        let mut names: Vec<String> = system.states.iter().map(|s| s.name.clone()).collect();
+        names.extend(self.extra_states.iter().enumerate().map(|(k, state)| match *state {
+            ExtraState::Reading { output, .. } => format!("{}_shown_{k}", system.outputs[output].name),
+            ExtraState::Deflection { joint, .. } => format!("{}_deflection_{k}", system.joints[joint].name),
+            ExtraState::DeflectionRate { joint, .. } => {
+                format!("{}_deflection_rate_{k}", system.joints[joint].name)
+            }
+        }));
+        names
+    }
+
+    /// Keeps saturated states within their bounds: a derivative that points outside vanishes there, and what is
+    /// beyond a bound returns to it within a step, so that a state's rest depends on its bound.
+    pub(super) fn hold_within<T: Scalar>(&self, point: &Point<'_, T>, extra: &[T], derivatives: &mut [T]) {
+        let zero = T::constant(0.0);
+        for bound in self.effects.iter().filter(|b| b.kind == PlaceKind::State) {
+            let own = self.own(bound, extra);
+            let (low, high) = (own[0], own[1]);
+            let (x, d) = (point.states[bound.index], derivatives[bound.index]);
+            let above = d.min(zero) - (x - high) / self.step;
+            let below = d.max(zero) + (low - x) / self.step;
+            derivatives[bound.index] = T::select(high.lt(x), above, T::select(x.lt(low), below, d));
+        }
+    }
+
+    /// Appends the rates of the extra states to those of the nominal ones.
+    pub(super) fn extra_rates<T: Scalar>(
+        &self,
+        point: &Point<'_, T>,
+        extra: &[T],
+        values: &Values<T>,
+        forces: &Forces<T>,
+        derivatives: &mut Vec<T>,
+    ) {
+        let n = derivatives.len();
+        let mut lags = vec![0; values.outputs.len()];
+        for (k, state) in self.extra_states.iter().enumerate() {
+            let rate = match *state {
+                ExtraState::Reading { effect, output } => {
+                    // A lag shorter than a step is followed as one of a step, and shown in proportion (see `lagged`):
+                    // y − τ ẏ to first order in both.
+                    let tau = self.own(&self.effects[effect], extra)[0].max(T::constant(self.step));
+                    let source = self.lagged(output, point, extra, values, lags[output]);
+                    lags[output] += 1;
+                    (source - point.states[n + k]) / tau
+                }
+                ExtraState::Deflection { .. } => point.states[n + k + 1],
+                ExtraState::DeflectionRate { .. } => {
+                    let own = forces.deflections.iter().find(|(first, _)| first + 1 == k);
+                    own.map_or(T::constant(0.0), |(_, rate)| *rate)
+                }
+            };
+            derivatives.push(rate);
+        }
+    }
+}
