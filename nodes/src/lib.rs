@@ -2,7 +2,7 @@
 //!
 //! [`models`] holds the mathematics of robots: pure functions generic over the scalar. [`pendulum`] and [`quadrotor`]
 //! are graphs of nodes around them, [`pid`] is a controller for any graph, [`equations`] makes a node from a
-//! `system.toml`. [`registry()`] names every kind of node and [`graph`] every graph.
+//! `system.toml`, [`playback`] commands what a file says. [`registry()`] names every kind of node and [`graph`] every graph.
 //!
 //! ```
 //! use parallax_nodes::{pendulum, registry};
@@ -11,10 +11,12 @@
 //! assert_eq!(graph.nodes().len(), 5);
 //! ```
 
+pub mod command_file;
 pub mod equations;
 pub mod models;
 pub mod pendulum;
 pub mod pid;
+pub mod playback;
 pub mod quadrotor;
 mod registry;
 

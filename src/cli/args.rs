@@ -1,9 +1,11 @@
 //! Values that several commands take.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use parallax_model::system::Suggestion;
+use parallax_nodes::command_file::CommandFile;
+use parallax_nodes::playback;
 use parallax_runtime::graph::{Graph, GraphSpec};
 use parallax_runtime::time::{Nanos, from_seconds};
 use serde_json::Value;
@@ -72,14 +74,40 @@ impl NodeChange {
     }
 }
 
-/// The graph named or stored at `graph`, with changes.
-pub(crate) fn graph_spec(graph: &str, changes: &[NodeChange]) -> Result<GraphSpec, Failure> {
+/// `NODE=FILE`: a node that sends what a command file says.
+#[derive(Clone, Debug)]
+pub(crate) struct Play {
+    node: String,
+    file: PathBuf,
+}
+
+impl std::str::FromStr for Play {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.split_once('=') {
+            Some((node, file)) if !node.is_empty() && !file.is_empty() => {
+                Ok(Self { node: node.into(), file: file.into() })
+            }
+            _ => Err("it must look like NODE=FILE, such as motor=experiment.csv".into()),
+        }
+    }
+}
+
+/// The graph named or stored at `graph`, with changes, and with nodes that play command files.
+pub(crate) fn graph_spec(graph: &str, changes: &[NodeChange], play: &[Play]) -> Result<GraphSpec, Failure> {
     let mut spec = match parallax_nodes::graph(graph) {
         Some(spec) => spec,
         None => read_graph(Path::new(graph))?,
     };
     for change in changes {
         change.apply(&mut spec).map_err(Failure::input)?;
+    }
+    for Play { node, file } in play {
+        let commands = CommandFile::read(file).input()?;
+        playback::put(&mut spec, node, &commands, &parallax_nodes::registry())
+            .with_context(|| format!("--play {node}={}", file.display()))
+            .map_err(Failure::input)?;
     }
     Ok(spec)
 }

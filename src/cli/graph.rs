@@ -99,7 +99,7 @@ impl Shown {
     }
 
     fn of_graph(arguments: &Arguments) -> Result<Self, Failure> {
-        let graph = validate(&graph_spec(&arguments.what, &[])?)?;
+        let graph = validate(&graph_spec(&arguments.what, &[], &[])?)?;
         let episode = generate(&graph, arguments.seed, arguments.duration).input()?;
         let source =
             format!("{} s drawn from the graph, seed {}", to_seconds(arguments.duration), arguments.seed);

@@ -39,7 +39,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         Kind::Folder if path.is_dir() => log::show(&import::folder(path).input()?, json)?,
         Kind::Folder => log::show(&import::folder(path.parent().unwrap_or(Path::new("."))).input()?, json)?,
         Kind::System => system::show(&import::read_system(path).input()?, json)?,
-        Kind::Graph => graph::show(&graph_spec(&path.to_string_lossy(), &[])?, json)?,
+        Kind::Graph => graph::show(&graph_spec(&path.to_string_lossy(), &[], &[])?, json)?,
         Kind::Recording => {
             let recording = Recording::read(path).input()?;
             if recording.is_imported() {

@@ -8,7 +8,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use parallax_runtime::launch::{self, End, Mode, RunError, RunOptions, RunReport};
 use parallax_runtime::time::{Nanos, to_seconds};
 
-use super::args::{NodeChange, duration, graph_spec, make_parent};
+use super::args::{NodeChange, Play, duration, graph_spec, make_parent};
 use super::failure::{Failure, Outcome};
 use super::output;
 
@@ -31,6 +31,9 @@ pub(crate) struct Arguments {
     /// Change a node: its rate, core or a parameter of its kind.
     #[arg(long = "node", value_name = "NODE.KEY=VALUE")]
     changes: Vec<NodeChange>,
+    /// Let a node send what a command file says (CSV: time,NODE.LEAF), such as `parallax experiment` writes.
+    #[arg(long, value_name = "NODE=FILE")]
+    play: Vec<Play>,
     /// Run the nodes as threads of one process.
     #[arg(long)]
     threads: bool,
@@ -46,7 +49,7 @@ pub(crate) struct Arguments {
 }
 
 pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
-    let spec = graph_spec(&arguments.graph, &arguments.changes)?;
+    let spec = graph_spec(&arguments.graph, &arguments.changes, &arguments.play)?;
     let out = match &arguments.out {
         None if arguments.record => Some(PathBuf::from("out").join(&spec.name).join("recording.mcap")),
         out => out.clone(),

@@ -11,7 +11,7 @@ use parallax_runtime::time::{Nanos, to_seconds};
 use parallax_sim::{Executor, SimError};
 use serde_json::json;
 
-use super::args::{NodeChange, duration, graph_spec, make_parent, validate};
+use super::args::{NodeChange, Play, duration, graph_spec, make_parent, validate};
 use super::failure::{Failure, Outcome, Sort};
 use super::output;
 
@@ -34,13 +34,16 @@ pub(crate) struct Arguments {
     /// Change a node: its rate, core or a parameter of its kind.
     #[arg(long = "node", value_name = "NODE.KEY=VALUE")]
     changes: Vec<NodeChange>,
+    /// Let a node send what a command file says (CSV: time,NODE.LEAF), such as `parallax experiment` writes.
+    #[arg(long, value_name = "NODE=FILE")]
+    play: Vec<Play>,
     /// Print JSON.
     #[arg(long)]
     json: bool,
 }
 
 pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
-    let graph = validate(&graph_spec(&arguments.graph, &arguments.changes)?)?;
+    let graph = validate(&graph_spec(&arguments.graph, &arguments.changes, &arguments.play)?)?;
     let mut executor = Executor::new(graph, arguments.seed);
     if let Some(factor) = arguments.real_time_factor {
         executor = executor.real_time_factor(factor);
