@@ -32,12 +32,6 @@ pub trait Simulator: Sync {
     fn states(&self) -> usize;
     /// How many parameters the hypothesis fits: θ.
     fn parameters(&self) -> usize;
-    /// The state at a time (s) from that of the nominal model, and its standard deviation. A hypothesis may have states
-    /// beyond the nominal ones, after them.
-    fn start(&self, state: &[f64], std: &[f64], time: f64) -> (Vec<f64>, Vec<f64>) {
-        let _ = time;
-        (state.to_vec(), std.to_vec())
-    }
     /// A start of this simulator's states from the nominal system's, with standard deviations, at `time` seconds: a
     /// hypothesis may have states that the nominal system lacks. A start that has all states already stays as it is.
     fn start(&self, state: &[f64], std: &[f64], time: f64) -> (Vec<f64>, Vec<f64>) {
