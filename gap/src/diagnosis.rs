@@ -347,7 +347,7 @@ fn split(setup: &Setup, null: &Fit, best: &Fit, refitted: &Row, with_effect: &Ro
         } else if chosen.len() == effects.len() {
             closed(with_effect)
         } else {
-            let fit = search::fit_hypothesis(setup, null, library::hypothesis(setup, &chosen), Vec::new());
+            let fit = search::fit_hypothesis(setup, null, library::hypothesis(setup, &chosen));
             let simulator = library::simulator(setup, &fit.hypothesis, Vec::new());
             closed(&quantify::predict(setup, &simulator, fit.estimate(), &fit.innovation.noise))
         }

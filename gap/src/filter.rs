@@ -114,7 +114,7 @@ struct Found {
 fn walk_group(run: &mut dyn Run, group: &[Start], scale: &[f64], noise: &Noise, pass: &mut Pass) {
     let (n, p) = (pass.states, pass.parameters);
     let zero = F64x16::splat(0.0);
-    let intensity = intensities(scale, noise);
+    let intensity = intensities(scale, noise, n);
     let output_variance: Vec<f64> = noise.log_output.iter().map(|r| r.exp()).collect();
     let mut tape = Tape::default();
     let mut motion = Motion::new(n, n, p);
@@ -223,11 +223,20 @@ fn walk_group(run: &mut dyn Run, group: &[Start], scale: &[f64], noise: &Noise, 
     pass.tapes.push(tape);
 }
 
-fn intensities(scale: &[f64], noise: &Noise) -> Vec<f64> {
-    scale.iter().map(|s| s * s * noise.log_process.exp()).collect()
+/// Process noise of each state; states beyond the nominal ones get none.
+fn intensities(scale: &[f64], noise: &Noise, states: usize) -> Vec<f64> {
+    let mut intensity: Vec<f64> = scale.iter().map(|s| s * s * noise.log_process.exp()).collect();
+    intensity.resize(states, 0.0);
+    intensity
 }
 
 impl Pass {
+    /// How many states the walk had.
+    #[must_use]
+    pub fn states(&self) -> usize {
+        self.states
+    }
+
     /// −2 log of the likelihood, up to a constant that is the same for every hypothesis on these readings.
     #[must_use]
     pub fn cost(&self) -> f64 {
@@ -281,7 +290,7 @@ impl Pass {
     /// −2 log likelihood at another noise, around the walk that was linearised. Needs no model evaluation.
     #[must_use]
     pub fn cost_at(&self, scale: &[f64], noise: &Noise) -> f64 {
-        let intensity = intensities(scale, noise);
+        let intensity = intensities(scale, noise, self.states);
         let output: Vec<f64> = noise.log_output.iter().map(|r| r.exp()).collect();
         let states = self.states;
         let cost =

@@ -27,6 +27,8 @@ pub struct Minimum {
     pub cost: f64,
     /// Half the Hessian with the priors' precision, in units of θ.
     pub information: DMatrix<f64>,
+    /// The precision of the flat priors: where the data say nothing, the posterior is no wider than they are.
+    flat: Vec<f64>,
 }
 
 /// A gain in the loss that is not worth another step.
@@ -96,7 +98,8 @@ where
         }
     }
     let (hessian, _) = with_priors(fitted, &theta, &local);
-    Minimum { theta, cost, information: hessian }
+    let flat = fitted.iter().map(|f| f.prior.flat_precision()).collect();
+    Minimum { theta, cost, information: hessian, flat }
 }
 
 fn with_priors(fitted: &[Fitted], theta: &[f64], local: &Local) -> (DMatrix<f64>, DVector<f64>) {
@@ -157,7 +160,11 @@ impl Minimum {
     /// Covariance of θ by the curvature at the minimum, if it is curved in every direction.
     #[must_use]
     pub fn covariance(&self) -> Option<DMatrix<f64>> {
-        self.information.clone().cholesky().map(|c| c.inverse())
+        let mut information = self.information.clone();
+        for (i, precision) in self.flat.iter().enumerate() {
+            information[(i, i)] += precision;
+        }
+        information.cholesky().map(|c| c.inverse())
     }
 
     /// Laplace's approximation of −2 log evidence: the minimum, and the volume around it.

@@ -50,7 +50,7 @@ pub const SETTLING_READINGS: usize = 8;
 
 /// Cuts segments into stretches that can be walked side by side. A filter forgets where it began; the first readings of
 /// each stretch, which the one before it has counted already, tell it the state.
-fn stretches(run: &dyn Run, segments: &[Segment], outputs: usize) -> Vec<Start> {
+fn stretches(simulator: &dyn Simulator, run: &dyn Run, segments: &[Segment], outputs: usize) -> Vec<Start> {
     let late = lateness(run.events());
     let found: Vec<(&Segment, usize, usize)> = segments
         .iter()
@@ -83,7 +83,7 @@ fn stretches(run: &dyn Run, segments: &[Segment], outputs: usize) -> Vec<Start> 
             let to = if piece + 1 == pieces { segment.to } else { stamps[next] };
             let place = if pieces == 1 { Some((first, end)) } else { locate(run.events(), late, from, to) };
             let Some((first, end)) = place else { continue };
-            let (state, std) = (segment.state.clone(), segment.std.clone());
+            let (state, std) = simulator.start(&segment.state, &segment.std, run.events()[first].time);
             starts.push(Start { first, end, counts_from, state, std });
         }
     }
@@ -99,7 +99,7 @@ pub fn walk(
     theta: &[f64],
 ) -> Pass {
     let mut run = simulator.run(theta);
-    let starts = stretches(&*run, segments, model.limits.len());
+    let starts = stretches(simulator, &*run, segments, model.limits.len());
     filter(&mut *run, &starts, simulator.states(), simulator.parameters(), &model.scale, noise)
 }
 

@@ -93,3 +93,4 @@ pub mod simulator;
 pub mod spectrum;
 pub mod statistics;
 pub mod unknown;
+pub mod windows;

@@ -2,14 +2,12 @@
 
 use rayon::prelude::*;
 
-use crate::filter::Pass;
-use crate::fit::{Local, Minimum, minimise};
+use crate::fit::Minimum;
 use crate::hypothesis::{EffectAt, Hypothesis};
-use crate::innovation::{InnovationFit, SETTLING_READINGS, Segment, fit, walk};
+use crate::innovation::{InnovationFit, fit, walk};
 use crate::library;
 use crate::setup::Setup;
-use crate::shooting::{Residuals, States, Window, shoot};
-use crate::simulator::Simulator;
+use crate::windows::{FEW, Shot, fit_windows, representative, windows};
 use parallax_model::plant::Residual;
 
 /// A hypothesis, fitted.
@@ -67,192 +65,6 @@ impl Fit {
 /// Most Gauss–Newton steps of a fit.
 const ITERATIONS: usize = 25;
 
-/// The same where the parameters that are added enter linearly.
-const FEW_ITERATIONS: usize = 4;
-
-/// A fit by short windows.
-struct Shot {
-    minimum: Minimum,
-    cost: f64,
-    residuals: Residuals,
-}
-
-impl Shot {
-    /// Mean squared residual in units of the sensors' noise.
-    fn error(&self, setup: &Setup) -> f64 {
-        let outputs = self.residuals.squares.iter().zip(&setup.output_noise);
-        let squares: f64 = outputs.map(|(s, noise)| s / (noise * noise)).sum();
-        squares / self.residuals.counts.iter().sum::<usize>().max(1) as f64
-    }
-
-    /// p / tr(H⁻¹ Σ g gᵀ): 1 for independent residuals, less where they are correlated within a window (the
-    /// adjustment of composite likelihoods: Varin, Reid & Firth 2011, section 2.3).
-    fn independence(&self) -> f64 {
-        let Some(inverse) = self.minimum.covariance() else { return 1.0 };
-        let p = inverse.nrows();
-        if p == 0 {
-            return 1.0;
-        }
-        let trace = (&inverse * self.spread(p)).trace();
-        if trace > 0.0 { (p as f64 / trace).min(1.0) } else { 1.0 }
-    }
-
-    /// Σ g gᵀ over windows.
-    fn spread(&self, p: usize) -> nalgebra::DMatrix<f64> {
-        let mut spread = nalgebra::DMatrix::<f64>::zeros(p, p);
-        for g in &self.residuals.scores {
-            for i in 0..p {
-                for j in 0..p {
-                    spread[(i, j)] += g[i] * g[j];
-                }
-            }
-        }
-        spread
-    }
-
-    /// Standard deviations by the sandwich H⁻¹ (Σ g gᵀ) H⁻¹ over windows (White 1982; clusters: Liang & Zeger 1986),
-    /// but no smaller than the curvature alone gives.
-    fn std(&self) -> Vec<f64> {
-        let plain = self.minimum.std();
-        let Some(inverse) = self.minimum.covariance() else { return plain };
-        let p = plain.len();
-        let sandwich = &inverse * self.spread(p) * &inverse;
-        (0..p).map(|i| sandwich[(i, i)].max(0.0).sqrt().max(plain[i])).collect()
-    }
-}
-
-/// Windows over the training segments, their states guessed by a filter's walk.
-#[must_use]
-pub fn windows(setup: &Setup, segments: &[Segment], walked: &Pass) -> Vec<Window> {
-    let n = setup.equations.system().states.len();
-    let mut windows = Vec::new();
-    for segment in segments {
-        // The filter must have seen a few readings of each output, or it knows no speed. A wrong guess could not be
-        // mended: where dry friction holds a joint, predictions do not depend on its speed.
-        let settled = SETTLING_READINGS * setup.experiment.wraps.len();
-        let inside = walked.stamp.iter().filter(|s| **s >= segment.from && **s < segment.to);
-        let Some(begin) = inside.copied().nth(settled) else { continue };
-        let count = ((segment.to - begin) / setup.horizon).floor().max(1.0);
-        let length = (segment.to - begin) / count;
-        for k in 0..count as usize {
-            let from = begin + k as f64 * length;
-            let to = from + length;
-            // The filter's state at the window's first reading; it has seen all earlier ones.
-            let Some(reading) = walked.stamp.iter().position(|s| *s >= from && *s < to) else { continue };
-            let state = walked.state[reading * n..(reading + 1) * n].to_vec();
-            windows.push(Window::new(from, to, state, segment.std.clone()));
-        }
-    }
-    windows
-}
-
-/// Fits a hypothesis by short windows from one start, re-estimating each output's noise.
-fn fit_windows(
-    setup: &Setup,
-    simulator: &dyn Simulator,
-    hypothesis: &Hypothesis,
-    windows: &[Window],
-    start: &[f64],
-    iterations: usize,
-) -> Shot {
-    let mut loss = WindowsLoss {
-        setup,
-        simulator,
-        windows: windows.to_vec(),
-        at: None,
-        variance: setup.output_noise.iter().map(|s| 4.0 * s * s).collect(),
-        residuals: Residuals::default(),
-        trial: None,
-    };
-    let mut minimum =
-        minimise(&hypothesis.fitted, start, iterations, |theta, accepted| loss.at(theta, accepted));
-    // On the way the states follow θ to first order. Where settling them finds something better, the fit goes on.
-    for _ in 0..RESUMED {
-        loss.at = None;
-        let again = minimise(&hypothesis.fitted, &minimum.theta, iterations, |theta, accepted| {
-            loss.at(theta, accepted)
-        });
-        let gain = minimum.cost - again.cost;
-        minimum = again;
-        if gain.is_nan() || gain < 1.0 {
-            break;
-        }
-    }
-    let cost = minimum.evidence_cost(&hypothesis.fitted);
-    Shot { minimum, cost, residuals: loss.residuals }
-}
-
-/// How often a fit goes on after its states were settled.
-const RESUMED: usize = 3;
-
-/// The loss of short windows along a minimisation.
-struct WindowsLoss<'a> {
-    setup: &'a Setup,
-    simulator: &'a dyn Simulator,
-    /// Windows with the states that belong to the accepted θ.
-    windows: Vec<Window>,
-    /// The accepted θ.
-    at: Option<Vec<f64>>,
-    variance: Vec<f64>,
-    residuals: Residuals,
-    /// The last θ that was tried, with what was found there.
-    trial: Option<(Vec<f64>, Vec<Window>, Local, Residuals)>,
-}
-
-impl WindowsLoss<'_> {
-    fn at(&mut self, theta: &[f64], accepted: bool) -> Local {
-        let known = self.trial.take().filter(|trial| self.at.is_some() && trial.0 == theta);
-        let (_, trial, mut local, found) = known.unwrap_or_else(|| {
-            // A trial that is rejected must not leave its initial states behind.
-            let mut trial = self.windows.clone();
-            let states = match &self.at {
-                Some(at) => {
-                    let step: Vec<f64> = theta.iter().zip(at).map(|(to, from)| to - from).collect();
-                    trial.iter_mut().for_each(|window| window.follow(&step));
-                    States::Kept
-                }
-                None => States::Settled,
-            };
-            let (local, found) = shoot(self.simulator, theta, &mut trial, &self.variance, states);
-            (theta.to_vec(), trial, local, found)
-        });
-        if accepted {
-            self.windows = trial;
-            self.at = Some(theta.to_vec());
-            self.residuals = found;
-            if self.refit_noise() {
-                (local, self.residuals) =
-                    shoot(self.simulator, theta, &mut self.windows, &self.variance, States::Kept);
-            }
-        } else {
-            self.trial = Some((theta.to_vec(), trial, local.clone(), found));
-        }
-        if !local.cost.is_finite() {
-            local.cost = f64::INFINITY;
-        }
-        local
-    }
-
-    /// Takes each output's noise from its residuals. Gives whether that changed anything.
-    fn refit_noise(&mut self) -> bool {
-        let found = &self.residuals;
-        let n = self.simulator.states();
-        let outputs = found.counts.iter().filter(|c| **c > 0).count().max(1);
-        let mut changed = false;
-        for (o, v) in self.variance.iter_mut().enumerate() {
-            // Residuals are at least the sensor's noise; the initial states take up some of it.
-            let floor = 0.25 * self.setup.output_noise[o].powi(2);
-            let free = found.counts[o].saturating_sub(n * self.windows.len() / outputs).max(1);
-            let fresh = (found.squares[o] / free as f64).max(floor);
-            changed |= (fresh / *v).ln().abs() > 0.02;
-            if fresh.is_finite() {
-                *v = fresh;
-            }
-        }
-        changed
-    }
-}
-
 /// The nominal model, refitted: the null hypothesis.
 #[must_use]
 pub fn null(setup: &Setup) -> Fit {
@@ -267,7 +79,7 @@ pub fn null(setup: &Setup) -> Fit {
         setup.noise.process_floor,
     );
     let innovation = fit(&simulator, &hypothesis, &setup.train, &setup.noise, &noise, &start, ITERATIONS);
-    let windows = windows(setup, &setup.train, &innovation.pass);
+    let windows = windows(setup, &simulator, &innovation.pass);
     let shot = fit_windows(setup, &simulator, &hypothesis, &windows, &innovation.minimum.theta, ITERATIONS);
     assemble(setup, hypothesis, Vec::new(), innovation, shot)
 }
@@ -291,39 +103,184 @@ fn assemble(
     }
 }
 
-/// Fits a hypothesis: every start by short windows, the best of them by innovation likelihood.
-#[must_use]
-pub fn fit_hypothesis(setup: &Setup, null: &Fit, hypothesis: Hypothesis, residuals: Vec<Residual>) -> Fit {
-    let simulator = library::simulator(setup, &hypothesis, residuals.clone());
-    let windows = windows(setup, &setup.train, &null.innovation.pass);
+/// How much work a fit is worth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Effort {
+    /// To convergence, from both losses' answers.
+    Full,
+    /// A few steps, for what the screen found far behind.
+    Light,
+}
+
+/// Fits a hypothesis by short windows from the given starts.
+fn shoot_from(
+    setup: &Setup,
+    null: &Fit,
+    hypothesis: &Hypothesis,
+    starts: &[Vec<f64>],
+    effort: Effort,
+) -> Option<Shot> {
+    let simulator = library::simulator(setup, hypothesis, Vec::new());
+    let windows = windows(setup, &simulator, &null.innovation.pass);
+    let (count, iterations) = if effort == Effort::Full { (FULL_STARTS, ITERATIONS) } else { (1, FEW) };
     let mut best: Option<Shot> = None;
-    let mut starts = hypothesis.starts();
-    for start in &mut starts {
-        continue_from(null, &hypothesis, start);
-        let shot = fit_windows(setup, &simulator, &hypothesis, &windows, start, ITERATIONS);
+    for start in starts.iter().take(count) {
+        let shot = fit_windows(setup, &simulator, hypothesis, &windows, start, iterations);
         if best.as_ref().is_none_or(|b| shot.cost < b.cost) {
             best = Some(shot);
         }
     }
-    let Some(mut shot) = best else { return null.clone() };
-    let refine = |start: &[f64]| {
-        fit(&simulator, &hypothesis, &setup.train, &setup.noise, &null.innovation.noise, start, ITERATIONS)
+    best
+}
+
+/// Fits a hypothesis by innovation likelihood, from where the windows left it.
+fn refine(
+    setup: &Setup,
+    null: &Fit,
+    hypothesis: Hypothesis,
+    mut shot: Shot,
+    start: &[f64],
+    effort: Effort,
+) -> Fit {
+    let simulator = library::simulator(setup, &hypothesis, Vec::new());
+    let refine = |start: &[f64], iterations: usize| {
+        fit(&simulator, &hypothesis, &setup.train, &setup.noise, &null.innovation.noise, start, iterations)
     };
-    let mut innovation = refine(&shot.minimum.theta);
+    if effort == Effort::Light {
+        let innovation = refine(&shot.minimum.theta, 1);
+        return assemble(setup, hypothesis, Vec::new(), innovation, shot);
+    }
+    let mut innovation = refine(&shot.minimum.theta, ITERATIONS);
     // The two losses can end in different minima; the effect's null is always a candidate.
-    if let Some(start) = starts.first() {
-        let other = refine(start);
-        if other.evidence_cost < innovation.evidence_cost {
-            innovation = other;
-        }
+    let other = refine(start, ITERATIONS);
+    if other.evidence_cost < innovation.evidence_cost {
+        innovation = other;
     }
     // Each loss starts from the other's answer as well, with the states that its own filter found.
-    let own = self::windows(setup, &setup.train, &innovation.pass);
+    let own = windows(setup, &simulator, &innovation.pass);
     let again = fit_windows(setup, &simulator, &hypothesis, &own, &innovation.minimum.theta, ITERATIONS);
     if again.cost < shot.cost {
         shot = again;
     }
-    assemble(setup, hypothesis, residuals, innovation, shot)
+    assemble(setup, hypothesis, Vec::new(), innovation, shot)
+}
+
+/// Windows of the screen.
+const SCREEN_WINDOWS: usize = 48;
+
+/// Starts of an effect that are followed to the end.
+const FULL_STARTS: usize = 3;
+
+/// Hypotheses that are fitted to convergence by short windows, beside the best one of each effect and of each place.
+const SHORTLIST: usize = 24;
+
+/// Hypotheses of these that are fitted to convergence by innovation likelihood, beside the best one of each effect.
+const FINALISTS: usize = 14;
+
+/// A hypothesis with its starts, the most promising first.
+#[derive(Clone, Debug)]
+struct Screened {
+    hypothesis: Hypothesis,
+    /// Where the effect is at its first start, calibrated parameters where the null model left them.
+    first: Vec<f64>,
+    starts: Vec<Vec<f64>>,
+    /// −2 log evidence on a sample of the windows, from the best start.
+    cost: f64,
+}
+
+/// Follows every start of a hypothesis for a few steps, on a sample of the windows.
+fn screen(setup: &Setup, base: &Fit, hypothesis: Hypothesis) -> Screened {
+    let simulator = library::simulator(setup, &hypothesis, Vec::new());
+    let sample = representative(setup, windows(setup, &simulator, &base.innovation.pass), SCREEN_WINDOWS);
+    let mut starts = hypothesis.starts();
+    for start in &mut starts {
+        continue_from(base, &hypothesis, start);
+    }
+    let first = starts.first().cloned().unwrap_or_default();
+    let mut tried: Vec<(f64, Vec<f64>)> = starts
+        .into_iter()
+        .map(|start| {
+            let shot = fit_windows(setup, &simulator, &hypothesis, &sample, &start, FEW);
+            let cost = if shot.cost.is_nan() { f64::INFINITY } else { shot.cost };
+            (cost, shot.minimum.theta)
+        })
+        .collect();
+    // The sort is stable: of equal starts the first one leads.
+    tried.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let cost = tried.first().map_or(f64::INFINITY, |t| t.0);
+    Screened { hypothesis, first, starts: tried.into_iter().map(|t| t.1).collect(), cost }
+}
+
+/// The first `count` of an order, and the first of each group.
+fn shortlist<K: PartialEq>(order: &[usize], count: usize, groups: impl Fn(usize) -> Vec<K>) -> Vec<bool> {
+    let mut kept = vec![false; order.len()];
+    let mut seen: Vec<K> = Vec::new();
+    for (rank, index) in order.iter().enumerate() {
+        let own = groups(*index);
+        kept[*index] = rank < count || own.iter().any(|group| !seen.contains(group));
+        seen.extend(own);
+    }
+    kept
+}
+
+fn by_cost(costs: &[f64]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..costs.len()).collect();
+    order.sort_by(|a, b| costs[*a].total_cmp(&costs[*b]).then(a.cmp(b)));
+    order
+}
+
+/// Fits hypotheses in parallel, each with as much work as it is worth; `done` is told of each.
+///
+/// All are screened from all of their starts on a sample of the windows. The most promising, and the best of each effect
+/// and of each place, are fitted by short windows to convergence; the best of these, and the best of each effect, by
+/// innovation likelihood as well.
+#[must_use]
+pub fn fit_all(
+    setup: &Setup,
+    base: &Fit,
+    hypotheses: Vec<Hypothesis>,
+    done: &(dyn Fn(&str) + Sync),
+) -> Vec<Fit> {
+    let screened: Vec<Screened> =
+        hypotheses.into_par_iter().map(|hypothesis| screen(setup, base, hypothesis)).collect();
+    let order = by_cost(&screened.iter().map(|s| s.cost).collect::<Vec<_>>());
+    let last = |index: usize| screened[index].hypothesis.effects.last();
+    let promising = shortlist(&order, SHORTLIST, |index| {
+        let at = last(index);
+        vec![at.map(|a| a.effect.name().to_owned()), at.map(|a| a.place.to_string())]
+    });
+    let effort = |kept: bool| if kept { Effort::Full } else { Effort::Light };
+    let shots: Vec<Option<Shot>> = (0..screened.len())
+        .into_par_iter()
+        .map(|k| shoot_from(setup, base, &screened[k].hypothesis, &screened[k].starts, effort(promising[k])))
+        .collect();
+    let costs: Vec<f64> = shots.iter().map(|s| s.as_ref().map_or(f64::INFINITY, |s| s.cost)).collect();
+    let finalists =
+        shortlist(&by_cost(&costs), FINALISTS, |index| vec![last(index).map(|a| a.effect.name().to_owned())]);
+    let all: Vec<(usize, (Screened, Option<Shot>))> = screened.into_iter().zip(shots).enumerate().collect();
+    all.into_par_iter()
+        .map(|(k, (screened, shot))| {
+            let label = screened.hypothesis.label();
+            let fit = match shot {
+                Some(shot) => {
+                    refine(setup, base, screened.hypothesis, shot, &screened.first, effort(finalists[k]))
+                }
+                None => base.clone(),
+            };
+            done(&label);
+            fit
+        })
+        .collect()
+}
+
+/// Fits one hypothesis as well as can be: every start by short windows, the best of them by innovation likelihood.
+#[must_use]
+pub fn fit_hypothesis(setup: &Setup, base: &Fit, hypothesis: Hypothesis) -> Fit {
+    let Screened { hypothesis, first, starts, .. } = screen(setup, base, hypothesis);
+    match shoot_from(setup, base, &hypothesis, &starts, Effort::Full) {
+        Some(shot) => refine(setup, base, hypothesis, shot, &first, Effort::Full),
+        None => base.clone(),
+    }
 }
 
 /// Fits a hypothesis that extends another one, by innovation likelihood from a given start.
@@ -337,20 +294,13 @@ pub fn fit_from(
 ) -> Fit {
     let simulator = library::simulator(setup, &hypothesis, residuals.clone());
     // Weights enter linearly, so few steps reach the minimum.
-    let innovation = fit(
-        &simulator,
-        &hypothesis,
-        &setup.train,
-        &setup.noise,
-        &base.innovation.noise,
-        start,
-        FEW_ITERATIONS,
-    );
-    let windows = windows(setup, &setup.train, &base.innovation.pass);
+    let innovation =
+        fit(&simulator, &hypothesis, &setup.train, &setup.noise, &base.innovation.noise, start, FEW);
+    let windows = windows(setup, &simulator, &base.innovation.pass);
     // From where the windows left the base, which may differ from where the innovations did.
     let mut from = start.to_vec();
     from[..base.shooting.theta.len()].copy_from_slice(&base.shooting.theta);
-    let shot = fit_windows(setup, &simulator, &hypothesis, &windows, &from, FEW_ITERATIONS);
+    let shot = fit_windows(setup, &simulator, &hypothesis, &windows, &from, FEW);
     assemble(setup, hypothesis, residuals, innovation, shot)
 }
 
@@ -367,13 +317,6 @@ fn continue_from(null: &Fit, hypothesis: &Hypothesis, start: &mut [f64]) {
 /// Fits all single effects, in parallel; `done` is told of each.
 #[must_use]
 pub fn singles(setup: &Setup, null: &Fit, effects: &[EffectAt], done: &(dyn Fn(&str) + Sync)) -> Vec<Fit> {
-    effects
-        .par_iter()
-        .map(|at| {
-            let fit =
-                fit_hypothesis(setup, null, library::hypothesis(setup, std::slice::from_ref(at)), Vec::new());
-            done(&at.label());
-            fit
-        })
-        .collect()
+    let hypotheses = effects.iter().map(|at| library::hypothesis(setup, std::slice::from_ref(at))).collect();
+    fit_all(setup, null, hypotheses, done)
 }

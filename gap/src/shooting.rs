@@ -50,20 +50,20 @@ impl Window {
     }
 }
 
-/// How much earlier than its stamp a reading is taken at most: the largest delay of a reading (s).
+/// How far a reading is from its stamp at most (s): its delay, or how far its clock has gone astray.
 #[must_use]
 pub fn lateness(events: &[Event]) -> f64 {
-    events.iter().filter_map(|e| Some(e.reading?.stamp - e.time)).fold(0.0, f64::max)
+    events.iter().filter_map(|e| Some((e.reading?.stamp - e.time).abs())).fold(0.0, f64::max)
 }
 
 /// The events of a window: from its first reading to its last. `lateness` as [`lateness`] gives it.
 #[must_use]
 pub fn locate(events: &[Event], lateness: f64, from: f64, to: f64) -> Option<(usize, usize)> {
     let inside = |e: &Event| e.reading.is_some_and(|r| r.stamp >= from && r.stamp < to);
-    // Events are in the order of time, which is the stamp or earlier.
+    // Events are in the order of the times at which readings were taken.
     let begin = events.partition_point(|e| e.time < from - lateness - 1e-9);
     let first = begin + events[begin..].iter().position(inside)?;
-    let stop = events.partition_point(|e| e.time < to);
+    let stop = events.partition_point(|e| e.time < to + lateness);
     let last = first + events[first..stop.max(first)].iter().rposition(inside)?;
     Some((first, last + 1))
 }
