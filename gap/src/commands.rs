@@ -143,7 +143,8 @@ fn tail<const N: usize>(here: &[(&BoundEffect, Vec<Dual<N>>)], pieces: &[Piece<N
 fn into_pieces<const N: usize>(pieces: &[Piece<N>], step: f64, tail: f64) -> Vec<Piece<N>> {
     let mut out = Vec::with_capacity(4 * pieces.len());
     for (k, piece) in pieces.iter().enumerate() {
-        let length = if k + 1 == pieces.len() { tail + step } else { piece.length };
+        // Whole steps after the last command: the cuts must not move with the parameters.
+        let length = if k + 1 == pieces.len() { (tail / step).ceil() * step + step } else { piece.length };
         let count = (2.0 * length / step - 1e-6).ceil().max(1.0);
         for part in 0..count as usize {
             let stamp = piece.stamp + length / count * part as f64;

@@ -1,0 +1,345 @@
+//! Every effect of the library: at its null value nothing changes, its derivatives are right, several act together, and
+//! a system that states it predicts the same as a hypothesis that adds it.
+
+use parallax_gap::equations::EquationsSimulator;
+use parallax_gap::experiment::{Experiment, Held, Sample, SupplyVoltage};
+use parallax_gap::hypothesis::Slot;
+use parallax_gap::simulator::{Prediction, Run, Simulator, Transition};
+use parallax_model::effect::{Effect, Place, PlaceKind};
+use parallax_model::plant::Plant;
+use parallax_model::system::{EffectEntry, Equations, System};
+use proptest::prelude::*;
+
+/// A rotating joint with everything that an effect may need, in air that moves, and a second reading.
+const SYSTEM: &str = r#"
+format = 1
+name = "rotor"
+
+[parameters]
+J = { value = 0.0125, unit = "kg m^2" }
+k = { value = 0.12, unit = "N m/V" }
+m = { value = 0.25, unit = "kg" }
+l = { value = 0.2, unit = "m" }
+b = { value = 0.004, unit = "N m s/rad" }
+
+[inputs]
+u = { signal = "voltage", supply = { signal = "battery", nominal = 12.0 } }
+
+[let]
+weight = "-m*9.81*l*sin(q)"
+torque = "k*u + weight - b*(v - air)"
+
+[state]
+q = { derivative = "v", initial = "angle" }
+v = { derivative = "torque/J" }
+air = { derivative = "-air/0.5", initial = 0.0 }
+
+[outputs]
+angle = { value = "q", unit = "rad" }
+speed = { value = "v", unit = "rad/s" }
+
+[joints]
+shaft = { position = "q", velocity = "v", inertia = "J", drive = "k*u", load = "weight", lever = "l", air = "air" }
+coupled = { position = "q", velocity = "v", force = "torque", drive = "k*u", load = "weight", payload = { J = "J + mass*l^2", m = "m + mass" } }
+"#;
+
+const STEP: f64 = 0.005;
+
+/// Each effect at a place, with values well inside its range.
+const CASES: &[(Effect, PlaceKind, usize, &[f64])] = &[
+    (Effect::Delay, PlaceKind::Input, 0, &[0.0137]),
+    (Effect::Delay, PlaceKind::Output, 0, &[0.0071]),
+    (Effect::ClockSkew, PlaceKind::Input, 0, &[0.0083]),
+    (Effect::ClockSkew, PlaceKind::Output, 0, &[-0.0061]),
+    (Effect::Lag, PlaceKind::Input, 0, &[0.043]),
+    (Effect::LagSecondOrder, PlaceKind::Input, 0, &[0.031, 0.4]),
+    (Effect::Gain, PlaceKind::Input, 0, &[1.2]),
+    (Effect::Offset, PlaceKind::Input, 0, &[0.2]),
+    (Effect::Saturation, PlaceKind::Input, 0, &[-0.83, 0.91]),
+    (Effect::SaturationSoft, PlaceKind::Input, 0, &[-0.83, 0.91, 0.17]),
+    (Effect::Deadband, PlaceKind::Input, 0, &[0.15]),
+    (Effect::RateLimit, PlaceKind::Input, 0, &[9.7]),
+    (Effect::Backlash, PlaceKind::Input, 0, &[0.31]),
+    (Effect::SupplySag, PlaceKind::Input, 0, &[1.4]),
+    (Effect::SupplySagLoad, PlaceKind::Input, 0, &[0.11]),
+    (Effect::Viscous, PlaceKind::Joint, 0, &[0.01]),
+    (Effect::Coulomb, PlaceKind::Joint, 0, &[0.02]),
+    (Effect::Stribeck, PlaceKind::Joint, 0, &[0.015, 0.02, 0.9]),
+    (Effect::LoadFriction, PlaceKind::Joint, 0, &[0.11]),
+    (Effect::AsymmetricFriction, PlaceKind::Joint, 0, &[0.015, 0.01]),
+    (Effect::AsymmetricViscous, PlaceKind::Joint, 0, &[0.015, 0.004]),
+    (Effect::QuadraticDrag, PlaceKind::Joint, 0, &[0.006]),
+    (Effect::Cogging, PlaceKind::Joint, 0, &[0.03, 5.0, 0.7]),
+    (Effect::Inertia, PlaceKind::Joint, 0, &[0.004]),
+    (Effect::Inertia, PlaceKind::Joint, 1, &[0.004]),
+    (Effect::Payload, PlaceKind::Joint, 0, &[0.1]),
+    (Effect::Payload, PlaceKind::Joint, 1, &[0.1]),
+    (Effect::GravityTilt, PlaceKind::Joint, 0, &[0.09]),
+    (Effect::Spring, PlaceKind::Joint, 0, &[0.2, 0.3]),
+    (Effect::Flexibility, PlaceKind::Joint, 0, &[9.0, 0.03, 0.35]),
+    (Effect::FlexibilityFar, PlaceKind::Joint, 1, &[9.0, 0.03, 0.35]),
+    (Effect::ConstantForce, PlaceKind::Joint, 0, &[0.05]),
+    (Effect::EndStop, PlaceKind::Joint, 0, &[0.13, 3.0]),
+    (Effect::EndStopLower, PlaceKind::Joint, 0, &[0.137, 3.0]),
+    (Effect::Wind, PlaceKind::Joint, 1, &[0.05]),
+    (Effect::WindSpeed, PlaceKind::Joint, 0, &[0.9]),
+    (Effect::PeriodicDisturbance, PlaceKind::Joint, 0, &[0.06, 3.1, 0.4]),
+    (Effect::Parameter, PlaceKind::Parameter, 2, &[0.31]),
+    (Effect::Bias, PlaceKind::Output, 0, &[0.05]),
+    (Effect::Scale, PlaceKind::Output, 0, &[1.1]),
+    (Effect::Drift, PlaceKind::Output, 0, &[0.2]),
+    (Effect::SensorLag, PlaceKind::Output, 0, &[0.023]),
+    (Effect::SensorSaturation, PlaceKind::Output, 0, &[0.03, 0.21]),
+    (Effect::Saturation, PlaceKind::State, 1, &[-0.5, 1.1]),
+];
+
+fn equations() -> Equations {
+    System::parse(SYSTEM, "rotor.toml").expect("valid").equations().expect("complete")
+}
+
+/// Half a second: a command that changes every 10 ms, readings of both outputs, a battery that sags.
+fn experiment() -> Experiment {
+    let mut held = Held::default();
+    let mut samples = Vec::new();
+    for k in 0..=50 {
+        let t = 0.01 * f64::from(k);
+        held.times.push(t);
+        held.values.push(1.1 * (9.0 * t).sin() + 0.4 * (31.0 * t + 1.0).sin());
+        let stamp = t + 0.0013;
+        samples.push(Sample { stamp, output: 0, value: 0.0 });
+        samples.push(Sample { stamp, output: 1, value: 0.0 });
+    }
+    let voltage = Held { times: vec![0.0, 0.153, 0.337], values: vec![12.3, 11.6, 10.9] };
+    Experiment {
+        inputs: vec![held],
+        supplies: vec![Some(SupplyVoltage { voltage, nominal: 12.0 })],
+        samples,
+        wraps: vec![None, None],
+        ..Experiment::default()
+    }
+}
+
+/// A simulator with these effects, each of whose parameters is an entry of θ.
+fn simulator<'a>(
+    equations: Equations,
+    effects: &[(Effect, PlaceKind, usize)],
+    experiment: &'a Experiment,
+) -> EquationsSimulator<'a> {
+    let joints = equations.system().joints.len();
+    let mut slots = Vec::new();
+    for (effect, (e, _, index)) in effects.iter().enumerate() {
+        if *e == Effect::Parameter {
+            slots.push(Slot::Nominal(*index));
+            continue;
+        }
+        slots.extend((0..e.parameters().len()).map(|parameter| Slot::Effect { effect, parameter }));
+    }
+    let bound: Vec<_> = effects.iter().copied().filter(|e| e.0 != Effect::Parameter).collect();
+    assert!(bound.len() == effects.len() || effects.len() == 1, "a parameter is tested alone");
+    let plant = Plant::new(equations, &bound, Vec::new(), vec![0.3; joints]);
+    EquationsSimulator::new(plant, slots, experiment, STEP)
+}
+
+/// Predictions from one start of the nominal states, with their derivatives by θ.
+fn predictions(simulator: &EquationsSimulator<'_>, theta: &[f64]) -> (Vec<f64>, Vec<Vec<f64>>) {
+    let p = simulator.parameters();
+    let (mut x, _) = simulator.start(&[0.1, 0.4, 0.2], &[1.0; 3], 0.0);
+    let n = x.len();
+    let mut run: Box<dyn Run> = simulator.run(theta);
+    let mut by = vec![0.0; n * p];
+    let (mut values, mut rows) = (Vec::new(), Vec::new());
+    let (mut transition, mut prediction) = (Transition::default(), Prediction::default());
+    for index in 0..run.events().len() {
+        if run.events()[index].reading.is_some() {
+            run.observe(index, &x, &mut prediction);
+            values.push(prediction.value);
+            let through = |j: usize| (0..n).map(|i| prediction.by_state[i] * by[i * p + j]).sum::<f64>();
+            rows.push((0..p).map(|j| through(j) + prediction.by_parameter[j]).collect());
+        }
+        if index + 1 < run.events().len() {
+            run.advance(index, &mut x, &mut transition);
+            let before = by.clone();
+            for i in 0..n {
+                for j in 0..p {
+                    let through: f64 =
+                        (0..n).map(|k| transition.by_state[i * n + k] * before[k * p + j]).sum();
+                    by[i * p + j] = through + transition.by_parameter[i * p + j];
+                }
+            }
+        }
+    }
+    (values, rows)
+}
+
+/// Largest difference, and how far the second goes.
+fn apart(a: &[f64], b: &[f64]) -> (f64, f64) {
+    assert_eq!(a.len(), b.len());
+    let difference = a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    (difference, b.iter().map(|v| v.abs()).fold(0.0, f64::max))
+}
+
+/// A null value that a list of numbers can hold.
+fn nulls(effect: Effect, kind: PlaceKind) -> Vec<f64> {
+    effect
+        .parameters()
+        .iter()
+        .map(|p| match p.null {
+            null if null.is_nan() => 0.25,
+            null if kind == PlaceKind::Input && effect == Effect::RateLimit => null.min(1e12),
+            null if null.is_infinite() => null.signum() * 1e6,
+            // A spring of no stiffness has no frequency; any will do.
+            _ if p.name == "stiffness" && effect.name() == "flexibility" => 5.0,
+            null => null,
+        })
+        .collect()
+}
+
+/// How closely the null value is met: exactly, but for what divides by a time constant.
+fn exactness(effect: Effect) -> f64 {
+    match effect {
+        Effect::Lag | Effect::LagSecondOrder | Effect::SaturationSoft | Effect::RateLimit => 1e-6,
+        _ => 0.0,
+    }
+}
+
+#[test]
+fn null_values_change_nothing() {
+    let experiment = experiment();
+    let (plain, _) = predictions(&simulator(equations(), &[], &experiment), &[]);
+    for &(effect, kind, index, _) in CASES {
+        let (with, _) =
+            predictions(&simulator(equations(), &[(effect, kind, index)], &experiment), &nulls(effect, kind));
+        // More events and other sums round differently.
+        let (difference, size) = apart(&with, &plain);
+        assert!(difference <= (exactness(effect) + 1e-9) * size, "{effect:?}: {difference}");
+    }
+}
+
+#[test]
+fn every_effect_changes_something() {
+    let experiment = experiment();
+    let (plain, _) = predictions(&simulator(equations(), &[], &experiment), &[]);
+    for &(effect, kind, index, values) in CASES {
+        let (with, _) = predictions(&simulator(equations(), &[(effect, kind, index)], &experiment), values);
+        let (difference, size) = apart(&with, &plain);
+        assert!(difference > 1e-4 * size && difference.is_finite(), "{effect:?}: {difference}");
+    }
+}
+
+#[test]
+fn derivatives_agree_with_central_differences() {
+    let experiment = experiment();
+    for &(effect, kind, index, values) in CASES {
+        let simulator = simulator(equations(), &[(effect, kind, index)], &experiment);
+        let (_, rows) = predictions(&simulator, values);
+        for j in 0..values.len() {
+            let h = 1e-6 * values[j].abs();
+            let shifted = |sign: f64| {
+                let mut theta = values.to_vec();
+                theta[j] += sign * h;
+                predictions(&simulator, &theta).0
+            };
+            let (above, below) = (shifted(1.0), shifted(-1.0));
+            let largest = rows.iter().map(|r| r[j].abs()).fold(1e-9, f64::max);
+            for (k, row) in rows.iter().enumerate() {
+                let difference = (above[k] - below[k]) / (2.0 * h);
+                assert!(
+                    (row[j] - difference).abs() < 1e-3 * largest,
+                    "{effect:?} at {kind:?} {index}, reading {k}, parameter {j}: {} against {difference}",
+                    row[j]
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn a_stated_effect_predicts_as_a_fitted_one() {
+    let experiment = experiment();
+    let nominal = equations();
+    for &(effect, kind, index, values) in CASES {
+        let (fitted, _) = predictions(&simulator(equations(), &[(effect, kind, index)], &experiment), values);
+        let system = nominal.system();
+        let key = match kind {
+            PlaceKind::Input => &system.inputs[index].name,
+            PlaceKind::Output => &system.outputs[index].name,
+            PlaceKind::Joint => &system.joints[index].name,
+            PlaceKind::State => &system.states[index].name,
+            _ => &system.parameters[index].name,
+        };
+        let entry = EffectEntry {
+            name: effect.name().into(),
+            place: Place::new(kind, key.clone()).to_string(),
+            parameters: effect
+                .parameters()
+                .iter()
+                .map(|p| p.name.to_owned())
+                .zip(values.iter().copied())
+                .collect(),
+            line: 0,
+        };
+        let text = system.corrected(SYSTEM, &[], std::slice::from_ref(&entry)).expect("it can be written");
+        let stated =
+            System::parse(&text, "rotor.toml").expect("it can be read").equations().expect("complete");
+        assert_eq!(stated.effects().len(), 1);
+        assert_eq!(stated.effects()[0].effect, effect);
+        let (written, _) = predictions(&simulator(stated, &[], &experiment), &[]);
+        let (difference, size) = apart(&written, &fitted);
+        assert!(difference <= 1e-12 * size, "{effect:?}: {difference}");
+    }
+}
+
+#[test]
+fn a_stated_effect_acts_beside_a_fitted_one() {
+    let experiment = experiment();
+    let entry = |name: &str, place: &str, parameter: &str, value: f64| EffectEntry {
+        name: name.into(),
+        place: place.into(),
+        parameters: vec![(parameter.into(), value)],
+        line: 0,
+    };
+    let stated = [
+        entry("delay", "input:u", "delay", 0.013),
+        entry("lag", "input:u", "time_constant", 0.02),
+        entry("sensor_lag", "output:angle", "time_constant", 0.03),
+    ];
+    let text = equations().system().corrected(SYSTEM, &[], &stated).expect("it can be written");
+    let system = System::parse(&text, "rotor.toml").expect("it can be read").equations().expect("complete");
+    let more = [
+        (Effect::Delay, PlaceKind::Input, 0),
+        (Effect::Lag, PlaceKind::Input, 0),
+        (Effect::SensorLag, PlaceKind::Output, 0),
+    ];
+    let (together, _) = predictions(&simulator(system, &more, &experiment), &[0.004, 0.01, 0.01]);
+    let all = [
+        (Effect::Delay, PlaceKind::Input, 0),
+        (Effect::Lag, PlaceKind::Input, 0),
+        (Effect::Lag, PlaceKind::Input, 0),
+        (Effect::SensorLag, PlaceKind::Output, 0),
+        (Effect::SensorLag, PlaceKind::Output, 0),
+    ];
+    let (fitted, _) =
+        predictions(&simulator(equations(), &all, &experiment), &[0.017, 0.01, 0.02, 0.01, 0.03]);
+    let (difference, size) = apart(&together, &fitted);
+    assert!(difference < 1e-9 * size, "{difference}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    /// Any effects together, several of them at one place.
+    #[test]
+    fn compositions_at_null_change_nothing(picked in proptest::collection::vec(0..CASES.len(), 1..6)) {
+        let experiment = experiment();
+        let (plain, _) = predictions(&simulator(equations(), &[], &experiment), &[]);
+        let chosen: Vec<_> = picked
+            .into_iter()
+            .map(|k| (CASES[k].0, CASES[k].1, CASES[k].2))
+            .filter(|c| c.0 != Effect::Parameter)
+            .collect();
+        let theta: Vec<f64> = chosen.iter().flat_map(|c| nulls(c.0, c.1)).collect();
+        let (with, _) = predictions(&simulator(equations(), &chosen, &experiment), &theta);
+        let (difference, size) = apart(&with, &plain);
+        prop_assert!(difference <= 1e-5 * size, "{chosen:?}: {difference}");
+    }
+}
