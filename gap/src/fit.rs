@@ -32,7 +32,7 @@ pub struct Minimum {
 }
 
 /// A gain in the loss that is not worth another step.
-const PROMISE: f64 = 1e-3;
+const PROMISE: f64 = 1e-2;
 
 /// The priors' −2 log density at θ.
 #[must_use]

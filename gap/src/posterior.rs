@@ -31,6 +31,8 @@ const DECISIVE: f64 = 20.0;
 pub struct Answer {
     /// The leader's fit.
     pub fit: Fit,
+    /// The fits of the class' other members, in its order.
+    pub alike: Vec<Fit>,
     /// Labels of the class, the leader first.
     pub class: Vec<String>,
     /// Members of the class with their probability and the share of the training gap that each closes.
@@ -78,6 +80,7 @@ pub fn weigh(
 ) -> Posterior {
     let judge = Judge::new(null, &fits);
     fits.sort_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
+    let forms = best_forms(&mut fits);
     let weight = |fit: &Fit| fit.hypothesis.effects.iter().map(|at| options.weight(at)).product::<f64>();
     let each = (1.0 - PRIOR_NO_GAP - PRIOR_UNKNOWN) / fits.iter().map(weight).sum::<f64>().max(1e-300);
 
@@ -104,7 +107,8 @@ pub fn weigh(
 
     let log_weight =
         |fit: &Fit, prior: f64| -0.5 * (judge.cost(fit) - judge.cost(null)) / TEMPERATURE + prior.ln();
-    let mut logs: Vec<f64> = fits.iter().map(|f| log_weight(f, each * weight(f))).collect();
+    let mut logs: Vec<f64> =
+        fits.iter().zip(&forms).map(|(f, forms)| log_weight(f, each * weight(f) / forms)).collect();
     // What a residual adds to the leader counts for the leader.
     if let (Some(first), Some(together)) = (logs.first_mut(), &together) {
         *first = first.max(log_weight(together, each * weight(&fits[0]) * PRIOR_UNKNOWN));
@@ -118,7 +122,7 @@ pub fn weigh(
     let probability = |log: f64| (log - largest).exp() / total;
 
     let signatures: Vec<DVector<f64>> =
-        fits.iter().map(|f| nuisance.project(&signature::of_fit(setup, null, f))).collect();
+        fits.par_iter().map(|f| nuisance.project(&signature::of_fit(setup, null, f))).collect();
     let gap = null.shooting_error;
     let floor = 1.0;
     let share = |f: &Fit| ((gap - f.shooting_error) / (gap - floor).max(1e-9)).clamp(0.0, 1.0);
@@ -145,6 +149,7 @@ pub fn weigh(
         });
         answers.push(Answer {
             fit: fits[class[0]].clone(),
+            alike: class[1..].iter().map(|&k| fits[k].clone()).collect(),
             class: class.iter().map(|&k| fits[k].hypothesis.label()).collect(),
             members: members.collect(),
             probability: class.iter().map(|&k| probability(logs[k])).sum(),
@@ -158,6 +163,23 @@ pub fn weigh(
         residual_alone: alone,
         residual_on_leader: together,
     }
+}
+
+/// Keeps the best of an effect's forms at a place, from fits in the order of their cost. Gives how many forms each had:
+/// they share the prior of the effect.
+fn best_forms(fits: &mut Vec<Fit>) -> Vec<f64> {
+    let labels: Vec<String> = fits.iter().map(|f| f.hypothesis.label()).collect();
+    let mut forms = Vec::new();
+    let mut index = 0;
+    fits.retain(|_| {
+        let first = !labels[..index].contains(&labels[index]);
+        if first {
+            forms.push(labels.iter().filter(|l| **l == labels[index]).count() as f64);
+        }
+        index += 1;
+        first
+    });
+    forms
 }
 
 /// Which loss decides, and what it says of a fit.

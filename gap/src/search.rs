@@ -63,7 +63,7 @@ impl Fit {
 }
 
 /// Most Gauss–Newton steps of a fit.
-const ITERATIONS: usize = 25;
+const ITERATIONS: usize = 15;
 
 /// The nominal model, refitted: the null hypothesis.
 #[must_use]
@@ -169,13 +169,13 @@ fn refine(
 const SCREEN_WINDOWS: usize = 48;
 
 /// Starts of an effect that are followed to the end.
-const FULL_STARTS: usize = 3;
+const FULL_STARTS: usize = 2;
 
 /// Hypotheses that are fitted to convergence by short windows, beside the best one of each effect and of each place.
-const SHORTLIST: usize = 24;
+const SHORTLIST: usize = 20;
 
-/// Hypotheses of these that are fitted to convergence by innovation likelihood, beside the best one of each effect.
-const FINALISTS: usize = 14;
+/// Hypotheses of these that are fitted to convergence by innovation likelihood, beside the best one of each kind of place.
+const FINALISTS: usize = 12;
 
 /// A hypothesis with its starts, the most promising first.
 #[derive(Clone, Debug)]
@@ -232,7 +232,7 @@ fn by_cost(costs: &[f64]) -> Vec<usize> {
 /// Fits hypotheses in parallel, each with as much work as it is worth; `done` is told of each.
 ///
 /// All are screened from all of their starts on a sample of the windows. The most promising, and the best of each effect
-/// and of each place, are fitted by short windows to convergence; the best of these, and the best of each effect, by
+/// and of each place, are fitted by short windows to convergence; the best of these, and the best of each kind of place, by
 /// innovation likelihood as well.
 #[must_use]
 pub fn fit_all(
@@ -255,8 +255,7 @@ pub fn fit_all(
         .map(|k| shoot_from(setup, base, &screened[k].hypothesis, &screened[k].starts, effort(promising[k])))
         .collect();
     let costs: Vec<f64> = shots.iter().map(|s| s.as_ref().map_or(f64::INFINITY, |s| s.cost)).collect();
-    let finalists =
-        shortlist(&by_cost(&costs), FINALISTS, |index| vec![last(index).map(|a| a.effect.name().to_owned())]);
+    let finalists = shortlist(&by_cost(&costs), FINALISTS, |index| vec![last(index).map(|a| a.place.kind)]);
     let all: Vec<(usize, (Screened, Option<Shot>))> = screened.into_iter().zip(shots).enumerate().collect();
     all.into_par_iter()
         .map(|(k, (screened, shot))| {

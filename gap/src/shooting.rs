@@ -77,6 +77,9 @@ pub struct Residuals {
     pub counts: Vec<usize>,
     /// Half the gradient of the cost by θ, window by window.
     pub scores: Vec<Vec<f64>>,
+    /// ln det of the initial states' curvature in units of their priors, summed over windows: what integrating the
+    /// states out costs, more for a hypothesis with more states or fewer readings to tell them.
+    pub volume: f64,
 }
 
 /// What is done to the windows' initial states before the cost is taken.
@@ -102,8 +105,11 @@ pub fn shoot(
     let (n, p) = (simulator.states(), simulator.parameters());
     let mut run = simulator.run(theta);
     let mut total = Local { cost: 0.0, information: vec![0.0; p * p], gradient: vec![0.0; p] };
-    let mut residuals =
-        Residuals { squares: vec![0.0; variance.len()], counts: vec![0; variance.len()], scores: Vec::new() };
+    let mut residuals = Residuals {
+        squares: vec![0.0; variance.len()],
+        counts: vec![0; variance.len()],
+        ..Residuals::default()
+    };
     let late = lateness(run.events());
     let mut found: Vec<(&mut Window, usize, usize)> = windows
         .iter_mut()
@@ -126,7 +132,9 @@ pub fn shoot(
         let initial: Vec<Vec<f64>> = group.iter().map(|g| g.0.state.clone()).collect();
         normal.march(&mut *run, group, &initial, variance, Some(&mut residuals));
         for (lane, (window, ..)) in group.iter_mut().enumerate() {
-            residuals.scores.push(normal.eliminate(lane, window, &mut total));
+            let (score, volume) = normal.eliminate(lane, window, &mut total);
+            residuals.scores.push(score);
+            residuals.volume += volume;
         }
     }
     for (count, v) in residuals.counts.iter().zip(variance) {
@@ -270,8 +278,9 @@ impl Normal {
         }
     }
 
-    /// Adds a window to the total, its state projected out (Schur complement). Gives its share of the gradient.
-    fn eliminate(&self, lane: usize, window: &mut Window, total: &mut Local) -> Vec<f64> {
+    /// Adds a window to the total, its state projected out (Schur complement). Gives its share of the gradient, and
+    /// ln det of its state's curvature in units of the prior.
+    fn eliminate(&self, lane: usize, window: &mut Window, total: &mut Local) -> (Vec<f64>, f64) {
         let n = self.n;
         let p = self.columns - n;
         total.cost += self.cost(lane, window);
@@ -283,7 +292,9 @@ impl Normal {
         let mut score: Vec<f64> = (0..p).map(|j| self.gradient[n + j][lane]).collect();
         // With A = L Lᵀ: Y = L⁻¹ B and z = L⁻¹ g, so that Bᵀ A⁻¹ B = Yᵀ Y.
         let mut y = vec![0.0; n * p];
+        let mut volume = 0.0;
         if let Some(l) = &factor {
+            volume = (0..n).map(|i| 2.0 * (l[i * n + i] * window.std[i]).ln()).sum();
             let mut z = g;
             forward(l, n, &mut z);
             for j in 0..p {
@@ -314,7 +325,7 @@ impl Normal {
                 }
             }
         }
-        score
+        (score, volume)
     }
 }
 

@@ -178,7 +178,7 @@ pub fn fit_windows(
             break;
         }
     }
-    let cost = minimum.evidence_cost(&hypothesis.fitted);
+    let cost = minimum.evidence_cost(&hypothesis.fitted) + loss.residuals.volume;
     Shot { minimum, cost, residuals: loss.residuals }
 }
 
@@ -186,7 +186,7 @@ pub fn fit_windows(
 pub const FEW: usize = 4;
 
 /// How often a fit goes on after its states were settled.
-const RESUMED: usize = 3;
+const RESUMED: usize = 2;
 
 /// The loss of short windows along a minimisation.
 struct WindowsLoss<'a> {
