@@ -88,7 +88,7 @@ pub(super) const fn of(effect: Effect) -> Entry {
         Effect::QuadraticDrag => entry("quadratic_drag", "loses force with the square of speed", JOINT,
             const { &[positive("coefficient", Q::ForcePerSpeedSquared)] }),
         Effect::Cogging => entry("cogging", "feels a force that repeats with position", JOINT, const { &[
-            positive("amplitude", Q::Force), within("wavenumber", Q::Wavenumber, 1.0, 0.0, INF),
+            signed("amplitude", Q::Force), within("wavenumber", Q::Wavenumber, 1.0, 0.0, INF),
             within("phase", Q::Phase, 0.0, -2.0 * PI, 2.0 * PI)] }),
         // Body.
         Effect::Inertia => entry("inertia", "has another inertia", JOINT, const { &[signed("added", Q::Inertia)] }),
@@ -114,7 +114,7 @@ pub(super) const fn of(effect: Effect) -> Entry {
         Effect::Wind => entry("wind", "is pushed by wind", JOINT, const { &[signed("force", Q::Force)] }),
         Effect::WindSpeed => entry("wind", "moves through air that moves", JOINT, const { &[signed("speed", Q::AirSpeed)] }),
         Effect::PeriodicDisturbance => entry("periodic_disturbance", "is shaken by a periodic force", JOINT, const { &[
-            positive("amplitude", Q::Force), within("frequency", Q::Frequency, 1.0, 0.0, INF),
+            signed("amplitude", Q::Force), within("frequency", Q::Frequency, 1.0, 0.0, INF),
             within("phase", Q::Phase, 0.0, -2.0 * PI, 2.0 * PI)] }),
         // Sensing.
         Effect::Bias => entry("bias", "reads with a constant error", OUTPUT, const { &[signed("bias", Q::Reading)] }),

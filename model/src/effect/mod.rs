@@ -390,6 +390,23 @@ impl Effect {
         }
     }
 
+    /// The one among parameters of equal meaning that is reported: a sinusoid of negative amplitude is one of positive
+    /// amplitude half a turn on, and phases lie in (−π, π].
+    #[must_use]
+    pub fn canonical(self, parameters: &[f64]) -> Vec<f64> {
+        let mut values = parameters.to_vec();
+        if let (Effect::Cogging | Effect::PeriodicDisturbance, [amplitude, _, phase]) =
+            (self, &mut values[..])
+        {
+            if *amplitude < 0.0 {
+                (*amplitude, *phase) = (-*amplitude, *phase + std::f64::consts::PI);
+            }
+            let turns = (0.5 - *phase / std::f64::consts::TAU).floor();
+            *phase += turns * std::f64::consts::TAU;
+        }
+        values
+    }
+
     /// The reading, from the true value of the output, both in the output's unit, `time` seconds after the
     /// recording's start. Effects that do not act on a reading's value alone return it unchanged.
     #[must_use]
@@ -424,6 +441,18 @@ mod tests {
             Some(Effect::LagSecondOrder)
         );
         assert_eq!(Effect::with_parameters("lag", &["delay"]), None);
+    }
+
+    #[test]
+    fn a_sinusoid_has_one_name() {
+        let pi = std::f64::consts::PI;
+        let [a, n, phase] = Effect::Cogging.canonical(&[-0.5, 3.0, 0.2])[..] else { panic!() };
+        assert_eq!((a, n), (0.5, 3.0));
+        assert!((phase - (0.2 - pi)).abs() < 1e-12);
+        let motion = |x: f64| (x * 3.0 + 0.2).sin() * -0.5;
+        assert!((a * (3.0 * 0.7 + phase).sin() - motion(0.7)).abs() < 1e-12);
+        assert!((Effect::PeriodicDisturbance.canonical(&[1.0, 2.0, -pi])[2] - pi).abs() < 1e-12);
+        assert_eq!(Effect::Bias.canonical(&[-1.0]), [-1.0]);
     }
 
     /// The names and parameters that reports and files rely on.
