@@ -66,15 +66,19 @@
 //! ```
 
 pub mod bind;
+pub mod combine;
 pub mod commands;
 pub mod detect;
 pub mod diagnosis;
 pub mod equations;
+pub mod excitation;
 pub mod experiment;
+pub mod explain;
 pub mod filter;
 pub mod fit;
 pub mod hypothesis;
 pub mod innovation;
+pub mod judge;
 pub mod library;
 pub mod machine;
 pub mod maps;
@@ -83,6 +87,7 @@ pub mod options;
 pub mod plot;
 pub mod posterior;
 pub mod quantify;
+pub mod readings;
 pub mod report;
 pub mod search;
 pub mod setup;

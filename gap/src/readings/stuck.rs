@@ -1,0 +1,95 @@
+//! Readings that repeat the one before, beyond what steps and standstill explain.
+
+use std::f64::consts::SQRT_2;
+
+use parallax_runtime::delay::special::normal_cdf;
+
+use super::lattice::Lattice;
+use super::local::Local;
+use super::peak::{Peak, peak};
+use crate::simulator::wrapped;
+
+/// Probability that two readings with noise and no steps are equal by chance.
+const BY_CHANCE: f64 = 1e-6;
+
+/// Repeats of one output.
+#[derive(Clone, Debug)]
+pub(super) struct Repeats {
+    /// Per reading: whether it repeats the one before, and how probable that was without the effect.
+    pub(super) repeats: Vec<(bool, f64)>,
+}
+
+/// Looks at every reading after the first.
+pub(super) fn repeats(local: &Local, wrap: Option<f64>, lattice: Option<Lattice>) -> Repeats {
+    let (value, n) = (&local.value, local.value.len());
+    let largest = value.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+    let step = lattice.map_or(0.0, |l| l.step);
+    // Rounding is part of what neighbours show of the noise.
+    let noise = (local.robust().powi(2) - step * step / 12.0).max(0.0).sqrt();
+    let same = |k: usize| (value[k] - value[k - 1]).abs() <= 1e-12 * largest;
+    let mut out = vec![(false, 0.0); n];
+    let mut k = 1;
+    while k < n {
+        if !same(k) {
+            k += 1;
+            continue;
+        }
+        let first = k - 1;
+        while k < n && same(k) {
+            k += 1;
+        }
+        // Motion over the run, from the reading before it to the one after it; unknown at the ends of the log.
+        let chord = match (first.checked_sub(1), value.get(k)) {
+            (Some(before), Some(after)) => {
+                wrapped(after - value[before], wrap).abs() / (k - before) as f64
+            }
+            _ => 0.0,
+        };
+        let still = chord <= 1e-9 * largest;
+        let probability = if still {
+            1.0
+        } else if step > 0.0 {
+            in_one_step(chord, SQRT_2 * noise, step)
+        } else {
+            BY_CHANCE
+        };
+        for entry in &mut out[first + 1..k] {
+            *entry = (true, probability.clamp(BY_CHANCE, 1.0));
+        }
+    }
+    Repeats { repeats: out }
+}
+
+/// Probability that two readings round to one step while the quantity moves by `motion` and noise of `std` is added.
+fn in_one_step(motion: f64, std: f64, step: f64) -> f64 {
+    // Averaged over where in the step the first reading lies: E max(0, 1 − |motion + noise|/step).
+    let points = 21;
+    let (mut sum, mut weights) = (0.0, 0.0);
+    for k in 0..points {
+        let z = -3.0 + 6.0 * f64::from(k) / f64::from(points - 1);
+        let weight = normal_cdf(z + 0.15) - normal_cdf(z - 0.15);
+        sum += weight * (1.0 - (motion + z * std).abs() / step).max(0.0);
+        weights += weight;
+    }
+    sum / weights
+}
+
+impl Repeats {
+    /// Log likelihood of a rate over the readings in `range`, less that of no effect.
+    pub(super) fn gain(&self, rate: f64, range: std::ops::Range<usize>) -> f64 {
+        self.repeats[range]
+            .iter()
+            .map(|(repeated, p)| if *repeated { (rate / p + 1.0 - rate).ln() } else { (1.0 - rate).ln() })
+            .sum()
+    }
+
+    /// The rate's posterior.
+    pub(super) fn rate(&self, range: std::ops::Range<usize>) -> Peak {
+        peak(1e-4, 0.95, |rate| self.gain(rate, range.clone()))
+    }
+
+    /// Readings that are stuck rather than equal by chance, at this rate.
+    pub(super) fn stuck(&self, rate: f64) -> Vec<bool> {
+        self.repeats.iter().map(|(repeated, p)| *repeated && *p < 0.2 * rate).collect()
+    }
+}
