@@ -120,6 +120,7 @@ pub fn bind(system: &System, log: &Log) -> Result<(Equations, Experiment), BindE
         held.times.extend(signal.times.iter().map(|t| seconds(*t)));
         experiment.inputs.push(held);
         experiment.input_units.push(signal.unit.clone());
+        experiment.given.push(signal.role == Role::Context);
         let supply = input.supply.as_ref().map(|stated| {
             let signal = find("the supply of input", &input.name, &stated.signal)?;
             let voltage = Held {

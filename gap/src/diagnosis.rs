@@ -2,14 +2,16 @@
 
 use std::collections::BTreeMap;
 
-use parallax_model::effect::{Effect, PlaceKind};
+use parallax_model::effect::Effect;
 use parallax_model::system::{EffectEntry, Equations, System};
 use parallax_runtime::recording::log::Log;
 
 use crate::bind::{BindError, bind};
 use crate::detect;
 use crate::equations::MOST_VARIABLES;
+use crate::excitation::{self, Wishes};
 use crate::experiment::Experiment;
+use crate::explain;
 use crate::hypothesis::{EffectAt, Slot};
 use crate::innovation::walk;
 use crate::library;
@@ -128,37 +130,11 @@ pub fn diagnose_experiment(
     options: &Options,
     progress: &(dyn Fn(f64, &str) + Sync),
 ) -> Result<Diagnosis, DiagnosisError> {
-    let system = equations.system();
-    let (states, calibrated) =
-        (system.states.len(), system.parameters.iter().filter(|p| p.calibrate.is_some()).count());
-    // An effect and a small residual must fit beside them.
-    let most = MOST_VARIABLES / 2;
-    if states + calibrated > most {
-        return Err(DiagnosisError::TooMany { file: system.file.clone(), states, calibrated, most });
-    }
-    let mut setup = Setup::new(equations, experiment, options.horizon);
-    quantify::refine_step(&mut setup);
-    let setup = setup;
-    let (from, to) = setup.experiment.span();
-    if setup.train.is_empty() || setup.test.is_empty() {
-        return Err(DiagnosisError::Short {
-            title: title.into(),
-            span: to - from,
-            horizon: setup.horizon,
-            needed: 12.0 * setup.horizon,
-        });
-    }
     progress(0.0, "nominal model");
-    let null = search::null(&setup);
-    if !null.innovation.minimum.cost.is_finite() {
-        return Err(DiagnosisError::NotFinite {
-            file: setup.equations.system().file.clone(),
-            title: title.into(),
-        });
-    }
+    let (setup, null) = prepare(equations, experiment, title, options)?;
     let nuisance = Nuisance::new(&null);
     let (candidates, mut not_testable) = library::candidates(&setup);
-    let candidates = chosen(candidates, &mut not_testable, options)?;
+    let candidates = chosen(&setup, candidates, &mut not_testable, options)?;
     let (candidates, columns, absorbed) = screen(&setup, &null, &nuisance, candidates, &mut not_testable);
 
     let done = std::sync::atomic::AtomicUsize::new(0);
@@ -180,6 +156,43 @@ pub fn diagnose_experiment(
     Ok(conclude(&setup, title, options, Found { null, answers, p_value, not_testable, absorbed }))
 }
 
+/// Looks at the data, and fits the nominal model: the null hypothesis.
+pub(crate) fn prepare(
+    equations: Equations,
+    experiment: Experiment,
+    title: &str,
+    options: &Options,
+) -> Result<(Setup, Fit), DiagnosisError> {
+    let system = equations.system();
+    let (states, calibrated) =
+        (system.states.len(), system.parameters.iter().filter(|p| p.calibrate.is_some()).count());
+    // An effect and a small residual must fit beside them.
+    let most = MOST_VARIABLES / 2;
+    if states + calibrated > most {
+        return Err(DiagnosisError::TooMany { file: system.file.clone(), states, calibrated, most });
+    }
+    let mut setup = Setup::new(equations, experiment, options.horizon);
+    quantify::refine_step(&mut setup);
+    let setup = setup;
+    let (from, to) = setup.experiment.span();
+    if setup.train.is_empty() || setup.test.is_empty() {
+        return Err(DiagnosisError::Short {
+            title: title.into(),
+            span: to - from,
+            horizon: setup.horizon,
+            needed: 12.0 * setup.horizon,
+        });
+    }
+    let null = search::null(&setup);
+    if !null.innovation.minimum.cost.is_finite() {
+        return Err(DiagnosisError::NotFinite {
+            file: setup.equations.system().file.clone(),
+            title: title.into(),
+        });
+    }
+    Ok((setup, null))
+}
+
 /// What the search found, before the conclusions.
 struct Found {
     null: Fit,
@@ -191,12 +204,14 @@ struct Found {
 
 /// The effects that the user lets be tried; the others are listed as not tested.
 fn chosen(
+    setup: &Setup,
     candidates: Vec<EffectAt>,
     not_testable: &mut Vec<library::NotTestable>,
     options: &Options,
 ) -> Result<Vec<EffectAt>, OptionsError> {
-    let known: Vec<EffectAt> =
+    let mut known: Vec<EffectAt> =
         candidates.iter().chain(not_testable.iter().map(|n| &n.effect)).cloned().collect();
+    known.extend(library::statistical(setup));
     options.check(&known)?;
     not_testable.retain(|n| options.allows(&n.effect));
     let (kept, left_out) = candidates.into_iter().partition(|at| options.allows(at));
@@ -256,6 +271,17 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
     let best = answers.leader(&null);
     let named = answers.answers.first().map_or(0.0, |a| a.probability) > answers.unexplained;
     let detected = p_value < 0.01 && answers.no_gap < 0.5;
+
+    let explanations = explain::explain(
+        &explain::Evidence {
+            setup,
+            null: &null,
+            posterior: &answers,
+            absorbed: &absorbed,
+            not_testable: &not_testable,
+        },
+        &options.explain,
+    );
 
     let row = |fit: &Fit| {
         let simulator = library::simulator(setup, &fit.hypothesis, fit.residuals.clone());
@@ -317,9 +343,11 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
             .into_iter()
             .map(|n| NotTestable { effect: n.effect.label(), reason: n.reason })
             .collect(),
-        confusable: confusable(&answers),
+        confusable: confusable(setup, &null, &answers, options.seed),
         how_far,
         corrected_system: None,
+        explanations,
+        made_from: None,
     };
     let mut diagnosis = Diagnosis {
         report,
@@ -377,7 +405,7 @@ fn calibration(setup: &Setup, fit: &Fit) -> Vec<Calibration> {
 }
 
 /// The effects of a fit, with their parameters.
-fn fitted_effects(setup: &Setup, fit: &Fit) -> Vec<FittedEffect> {
+pub(crate) fn fitted_effects(setup: &Setup, fit: &Fit) -> Vec<FittedEffect> {
     let (theta, std) = (fit.estimate(), fit.std());
     fit.hypothesis
         .effects
@@ -437,37 +465,20 @@ fn places(posterior: &posterior::Posterior) -> Vec<Where> {
     out
 }
 
-fn confusable(posterior: &posterior::Posterior) -> Vec<Confusable> {
-    posterior
-        .answers
-        .iter()
-        .filter(|a: &&Answer| a.class.len() > 1 && a.probability > 0.01)
-        .map(|answer| Confusable {
-            effects: answer.class.clone(),
-            separate_by: separation(&answer.members.iter().map(|m| m.0.clone()).collect::<Vec<_>>()),
+/// Classes of several effects, each with the experiment that would tell its members apart.
+fn confusable(setup: &Setup, null: &Fit, posterior: &posterior::Posterior, seed: u64) -> Vec<Confusable> {
+    let classes = posterior.answers.iter().filter(|a: &&Answer| a.class.len() > 1 && a.probability > 0.01);
+    classes
+        .map(|answer| {
+            let candidates: Vec<&Fit> = [&answer.fit].into_iter().chain(&answer.alike).collect();
+            let wishes = Wishes { seed, ..Wishes::default() };
+            let (separate_by, experiment) = match excitation::design(setup, null, &candidates, &wishes) {
+                Ok(design) => (design.to_string(), Some(design.promise())),
+                Err(error) => (format!("no experiment was found: {error}"), None),
+            };
+            Confusable { effects: answer.class.clone(), separate_by, experiment }
         })
         .collect()
-}
-
-/// What tells the members of a class apart, from what is known of each pair.
-fn separation(members: &[EffectAt]) -> String {
-    let has =
-        |effect: Effect, kind: PlaceKind| members.iter().any(|m| m.effect == effect && m.place.kind == kind);
-    let any = |effect: Effect| members.iter().any(|m| m.effect == effect);
-    if has(Effect::Delay, PlaceKind::Input) && has(Effect::Delay, PlaceKind::Output) {
-        "a second sensor with its own stamps, or a disturbance that the sensor sees and the command does not"
-            .into()
-    } else if any(Effect::Delay) && any(Effect::Lag) {
-        "a chirp on the command up to the highest frequency the sampling allows".into()
-    } else if any(Effect::Bias) && any(Effect::Offset) {
-        "a reference pose held without command".into()
-    } else if any(Effect::Coulomb) && any(Effect::AsymmetricFriction) {
-        "slow ramps in both directions at equal load".into()
-    } else if any(Effect::Parameter) {
-        "a measurement of one of the parameters by itself, such as weighing the load".into()
-    } else {
-        "an excitation with other amplitudes and frequencies".into()
-    }
 }
 
 fn corrected_values(setup: &Setup, fit: &Fit) -> Vec<(String, f64)> {

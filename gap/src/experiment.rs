@@ -1,7 +1,7 @@
 //! A recording as the fits see it: held commands and stamped readings.
 
 /// A command, held from each stamp until the next.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Held {
     /// Stamps (s), increasing.
     pub times: Vec<f64>,
@@ -27,6 +27,8 @@ pub struct Experiment {
     pub inputs: Vec<Held>,
     /// The voltage behind each input that has one; may be shorter than `inputs`.
     pub supplies: Vec<Option<SupplyVoltage>>,
+    /// Which inputs nobody can choose, such as a battery's voltage; may be shorter than `inputs`.
+    pub given: Vec<bool>,
     /// Unit of each input, a label; empty where the log states none.
     pub input_units: Vec<String>,
     /// All readings in the order of their stamps, then of their outputs.

@@ -52,6 +52,7 @@ pub struct Posterior {
     pub unexplained: f64,
     residual_alone: Option<Fit>,
     residual_on_leader: Option<Fit>,
+    judge: Judge,
 }
 
 impl Posterior {
@@ -59,6 +60,12 @@ impl Posterior {
     #[must_use]
     pub fn leader<'a>(&'a self, null: &'a Fit) -> &'a Fit {
         self.answers.first().map_or(null, |a| &a.fit)
+    }
+
+    /// −2 log evidence of a fit, up to a constant that is the same for all.
+    #[must_use]
+    pub fn cost(&self, fit: &Fit) -> f64 {
+        self.judge.cost(fit)
     }
 
     /// The best residual: on top of the leading answer, or alone.
@@ -162,6 +169,7 @@ pub fn weigh(
         unexplained: probability(log_unknown),
         residual_alone: alone,
         residual_on_leader: together,
+        judge,
     }
 }
 
@@ -188,6 +196,7 @@ fn best_forms(fits: &mut Vec<Fit>) -> Vec<f64> {
 /// the two fail in different cases. Where none does, as on any real machine, the innovations are ruled by what every
 /// hypothesis lacks; the short windows judge what a simulator is for. Either way the windows' readings count for as
 /// many as their correlation leaves.
+#[derive(Clone, Debug)]
 struct Judge {
     independence: f64,
     exact: bool,

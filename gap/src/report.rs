@@ -13,6 +13,8 @@ pub mod text;
 
 use serde::{Deserialize, Serialize};
 
+use crate::excitation::Promise;
+use crate::explain::Explanation;
 use crate::maps::Map;
 use crate::plot::{axis, draw};
 
@@ -49,6 +51,27 @@ pub struct Report {
     pub how_far: HowFar,
     /// Path of the corrected system, if one was written.
     pub corrected_system: Option<String>,
+    /// Why effects that the user asked about are not the answer.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub explanations: Vec<Explanation>,
+    /// The files that were diagnosed, so that another command can go on from there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub made_from: Option<MadeFrom>,
+}
+
+/// What a diagnosis was made from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MadeFrom {
+    /// The recordings.
+    pub recordings: Vec<std::path::PathBuf>,
+    /// The system file; absent where the recording's own was used.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub system: Option<std::path::PathBuf>,
+    /// Length of windows and predictions (s), if one was asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub horizon: Option<f64>,
+    /// Seed of the diagnosis.
+    pub seed: u64,
 }
 
 /// Whether simulation and reality differ.
@@ -157,6 +180,9 @@ pub struct Confusable {
     pub effects: Vec<String>,
     /// What would separate them.
     pub separate_by: String,
+    /// What the experiment that would separate them promises.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub experiment: Option<Promise>,
 }
 
 /// Root mean square errors of prediction over the horizon, in noise units.

@@ -4,10 +4,12 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use clap::Args;
+use parallax_gap::bind::bind;
 use parallax_gap::diagnosis::{Diagnosis, Options, diagnose};
+use parallax_gap::experiment::Experiment;
 use parallax_gap::options::{Pattern, Prior};
-use parallax_gap::report::{Report, html, svg, text};
-use parallax_model::system::System;
+use parallax_gap::report::{MadeFrom, Report, html, svg, text};
+use parallax_model::system::{Equations, System};
 use parallax_runtime::import::{self, read_system_text};
 use parallax_runtime::recording::Recording;
 use parallax_runtime::recording::log::Log;
@@ -41,6 +43,9 @@ pub(crate) struct Arguments {
     /// How likely an effect is beforehand, against 1 for every other (coulomb@joint:axis=5). Repeatable.
     #[arg(long, value_name = "EFFECT[@PLACE]=WEIGHT")]
     prior: Vec<Prior>,
+    /// Say why this effect is not the answer: its evidence, its best fit, what it explains worse. Repeatable.
+    #[arg(long, value_name = "EFFECT[@PLACE]")]
+    explain: Vec<Pattern>,
     /// Print report.json instead of the short answer.
     #[arg(long)]
     json: bool,
@@ -63,7 +68,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         exclude: arguments.exclude.clone(),
         only: arguments.only.clone(),
         priors: arguments.prior.clone(),
-        ..Options::default()
+        explain: arguments.explain.clone(),
     };
     let report = loaded.diagnose(&options, &arguments.out)?;
     if arguments.json {
@@ -81,11 +86,14 @@ pub(crate) struct Loaded {
     /// The text that a corrected system is made from.
     text: String,
     system: System,
+    /// The files, as whole paths.
+    files: (PathBuf, Option<PathBuf>),
 }
 
 impl Loaded {
     /// Reads a recording and its system: the one at `system`, or the one attached to the recording.
     pub(crate) fn read(path: &Path, system: Option<&Path>) -> Result<Self, Failure> {
+        let stated = system;
         let (log, attached) = if path.is_dir() {
             (import::folder(path).input()?, None)
         } else {
@@ -113,7 +121,19 @@ impl Loaded {
         let recorded: Vec<(&str, &str)> =
             log.signals.iter().map(|signal| (signal.name.as_str(), signal.unit.as_str())).collect();
         system.check_signals(&recorded).input()?;
-        Ok(Self { log, text, system })
+        let whole = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+        let files = (whole(path), stated.map(whole));
+        Ok(Self { log, text, system, files })
+    }
+
+    /// The recording's title.
+    pub(crate) fn title(&self) -> &str {
+        &self.log.title
+    }
+
+    /// The equations and the recording in the system's order.
+    pub(crate) fn bound(&self) -> Result<(Equations, Experiment), Failure> {
+        bind(&self.system, &self.log).input()
     }
 
     /// Diagnoses, and leaves report.json, report.html, report.svg and system.corrected.toml in `out`.
@@ -126,8 +146,14 @@ impl Loaded {
             bar.set_position((done * 1000.0) as u64);
             bar.set_message(format!("diagnosing: {what}"));
         };
-        let diagnosis = diagnose(&self.system, &self.log, options, &watch).input()?;
+        let mut diagnosis = diagnose(&self.system, &self.log, options, &watch).input()?;
         bar.finish_and_clear();
+        diagnosis.report.made_from = Some(MadeFrom {
+            recordings: vec![self.files.0.clone()],
+            system: self.files.1.clone(),
+            horizon: options.horizon,
+            seed: options.seed,
+        });
         self.write(diagnosis, out)
     }
 
@@ -169,4 +195,7 @@ fn nearby(path: &Path) -> String {
 /// The short answer.
 pub(crate) fn print(report: &Report) {
     output::line(text::summary(report).trim_end());
+    for explanation in &report.explanations {
+        output::line(format!("\n{}", explanation.to_string().trim_end()));
+    }
 }

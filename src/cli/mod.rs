@@ -4,6 +4,7 @@ pub(crate) mod args;
 mod delays;
 mod demo;
 mod diagnose;
+mod experiment;
 pub(crate) mod failure;
 mod graph;
 mod import;
@@ -23,7 +24,7 @@ use tracing_subscriber::EnvFilter;
 const EXIT_CODES: &str = "\
 Exit codes:
   0    done
-  1    done, and the answer is no: the replay differs from the recording
+  1    done, and the answer is no: the replay differs from the recording, no experiment separates the effects
   2    the command or its input cannot be used
   3    the run failed, for instance because a node died
   130  interrupted";
@@ -69,6 +70,9 @@ enum Command {
     /// Say where a recording and its simulator part, why, and how far.
     #[command(after_help = EXIT_CODES)]
     Diagnose(diagnose::Arguments),
+    /// Design the commands that would tell apart what a diagnosis could not.
+    #[command(after_help = EXIT_CODES)]
+    Experiment(experiment::Arguments),
     /// One node of a run; the launcher starts it.
     #[command(name = NODE_COMMAND, hide = true)]
     Node {
@@ -90,6 +94,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Demo(arguments) => demo::run(&arguments),
         Command::Run(arguments) => run::run(&arguments),
         Command::Diagnose(arguments) => diagnose::run(&arguments),
+        Command::Experiment(arguments) => experiment::run(&arguments),
         Command::Sim(arguments) => sim::run(&arguments),
         Command::Replay(arguments) => replay::run(&arguments),
         Command::Import(arguments) => import::run(&arguments),

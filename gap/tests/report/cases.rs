@@ -99,6 +99,7 @@ pub(crate) fn one_effect() -> Report {
         confusable: vec![Confusable {
             effects: vec!["delay@input:goal".to_owned(), "lag@input:goal".to_owned()],
             separate_by: "a chirp above 5 Hz on goal".to_owned(),
+            experiment: None,
         }],
         how_far: HowFar {
             horizon_s: 0.25,
@@ -112,6 +113,8 @@ pub(crate) fn one_effect() -> Report {
             split: vec![],
         },
         corrected_system: Some("out/servo/system.corrected.toml".to_owned()),
+        explanations: Vec::new(),
+        made_from: None,
     }
 }
 
@@ -177,6 +180,8 @@ pub(crate) fn empty() -> Report {
         not_testable: vec![],
         confusable: vec![],
         corrected_system: None,
+        explanations: Vec::new(),
+        made_from: None,
         ..one_effect()
     }
 }
