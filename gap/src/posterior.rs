@@ -2,9 +2,11 @@
 
 use nalgebra::DVector;
 
+use crate::combine;
 use crate::hypothesis::EffectAt;
+use crate::judge::Judge;
 use crate::options::Options;
-use crate::search::{Fit, INEXACT};
+use crate::search::Fit;
 use crate::setup::Setup;
 use crate::signature::{self, Nuisance, SAME};
 use crate::unknown;
@@ -16,6 +18,9 @@ const TEMPERATURE: f64 = 2.0;
 /// Prior probability that there is no gap, and that no named effect describes it; effects share the rest equally.
 const PRIOR_NO_GAP: f64 = 0.3;
 const PRIOR_UNKNOWN: f64 = 0.1;
+
+/// Prior probability that a cause has a further effect beside it, shared by all that it might be.
+const PRIOR_FURTHER: f64 = 0.3;
 
 /// Difference of −2 log evidence that says nothing.
 const EVEN: f64 = 1.0;
@@ -88,7 +93,20 @@ pub fn weigh(
     let judge = Judge::new(null, &fits);
     fits.sort_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
     let forms = best_forms(&mut fits);
-    let weight = |fit: &Fit| fit.hypothesis.effects.iter().map(|at| options.weight(at)).product::<f64>();
+    let (mut forms, count) = (forms, fits.len());
+    let combined = combine::combinations(setup, null, &fits, &judge, done);
+    forms.resize(count + combined.len(), 1.0);
+    fits.extend(combined);
+    let judge = Judge::new(null, &fits);
+    let mut order: Vec<usize> = (0..fits.len()).collect();
+    order.sort_by(|a, b| judge.cost(&fits[*a]).total_cmp(&judge.cost(&fits[*b])).then(a.cmp(b)));
+    let forms: Vec<f64> = order.iter().map(|k| forms[*k]).collect();
+    let fits: Vec<Fit> = order.into_iter().map(|k| fits[k].clone()).collect();
+    let weight = |fit: &Fit| {
+        let effects = &fit.hypothesis.effects;
+        let further = (PRIOR_FURTHER / count as f64).powi(effects.len() as i32 - 1);
+        effects.iter().map(|at| options.weight(at)).product::<f64>() * further
+    };
     let each = (1.0 - PRIOR_NO_GAP - PRIOR_UNKNOWN) / fits.iter().map(weight).sum::<f64>().max(1e-300);
 
     // The unknowns stand alone and on top of the leading effect: if the effect adds nothing to them, it is no cause.
@@ -142,7 +160,9 @@ pub fn weigh(
         let mut class: Vec<usize> = (first..fits.len())
             .filter(|&k| {
                 let near = judge.cost(&fits[k]) - judge.cost(&fits[first]) < DECISIVE;
+                let effects = |k: usize| fits[k].hypothesis.effects.len();
                 !taken[k]
+                    && effects(k) == effects(first)
                     && (k == first || (near && signature::cosine(&signatures[first], &signatures[k]) > SAME))
             })
             .collect();
@@ -188,35 +208,6 @@ fn best_forms(fits: &mut Vec<Fit>) -> Vec<f64> {
         first
     });
     forms
-}
-
-/// Which loss decides, and what it says of a fit.
-///
-/// Where some hypothesis reaches the sensors' noise, both losses are likelihoods of the data, and their mean decides:
-/// the two fail in different cases. Where none does, as on any real machine, the innovations are ruled by what every
-/// hypothesis lacks; the short windows judge what a simulator is for. Either way the windows' readings count for as
-/// many as their correlation leaves.
-#[derive(Clone, Debug)]
-struct Judge {
-    independence: f64,
-    exact: bool,
-}
-
-impl Judge {
-    fn new(null: &Fit, fits: &[Fit]) -> Self {
-        let best = fits
-            .iter()
-            .chain([null])
-            .min_by(|a, b| a.shooting_error.total_cmp(&b.shooting_error))
-            .unwrap_or(null);
-        Judge { independence: best.independence, exact: best.shooting_error <= INEXACT }
-    }
-
-    /// −2 log evidence, up to a constant.
-    fn cost(&self, fit: &Fit) -> f64 {
-        let windows = self.independence * fit.shooting_cost;
-        if self.exact { 0.5 * (fit.innovation.evidence_cost + windows) } else { windows }
-    }
 }
 
 /// Puts the member to be named first: the simplest of those that the evidence does not tell apart from the best. One

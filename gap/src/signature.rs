@@ -90,10 +90,12 @@ pub fn of_fit(setup: &Setup, null: &Fit, fit: &Fit) -> DVector<f64> {
     DVector::from_vec(without.whitened()) - DVector::from_vec(with.whitened())
 }
 
-/// Derivatives of the null model's whitened innovations by an effect's own parameters, at a small effect.
+/// Derivatives of a fit's whitened innovations by the parameters of a further effect, at a small effect.
 #[must_use]
 pub fn columns(setup: &Setup, null: &Fit, effect: &crate::hypothesis::EffectAt) -> DMatrix<f64> {
-    let hypothesis = library::hypothesis(setup, std::slice::from_ref(effect));
+    let mut effects = null.hypothesis.effects.clone();
+    effects.push(effect.clone());
+    let hypothesis = library::hypothesis(setup, &effects);
     let simulator = library::simulator(setup, &hypothesis, Vec::new());
     let theta: Vec<f64> = hypothesis
         .fitted

@@ -1,0 +1,127 @@
+//! Several effects at once: from the best single ones forward, and back where one of them is not needed.
+
+use nalgebra::DVector;
+use rayon::prelude::*;
+
+use crate::hypothesis::EffectAt;
+use crate::judge::Judge;
+use crate::library;
+use crate::search::{Fit, fit_all, fit_hypothesis};
+use crate::setup::Setup;
+use crate::signature::{self, Nuisance};
+
+/// Gain in −2 log evidence that a further effect must bring.
+pub const WORTH: f64 = 10.0;
+
+/// Single effects from which combinations begin.
+const BASES: usize = 2;
+
+/// Effects that are fitted beside a base, the highest in a score test.
+const ADDED: usize = 8;
+
+/// Most effects at once.
+const MOST: usize = 3;
+
+/// Combinations that are worth their further effects; `fits` are single effects, the best first.
+#[must_use]
+pub fn combinations(
+    setup: &Setup,
+    null: &Fit,
+    fits: &[Fit],
+    judge: &Judge,
+    done: &(dyn Fn(&str) + Sync),
+) -> Vec<Fit> {
+    let pool: Vec<EffectAt> = fits.iter().filter_map(|f| f.hypothesis.effects.first().cloned()).collect();
+    let worth = |fit: &Fit, base: &Fit| judge.cost(fit) < judge.cost(base) - WORTH;
+    let mut found: Vec<Fit> = Vec::new();
+    for base in fits.iter().take(BASES).filter(|base| worth(base, null)) {
+        let mut base = base.clone();
+        while base.hypothesis.effects.len() < MOST {
+            let Some(next) = extend(setup, &base, &pool, judge, done) else { break };
+            if !worth(&next, &base) {
+                break;
+            }
+            base = next;
+        }
+        if base.hypothesis.effects.len() < 2 {
+            continue;
+        }
+        let base = prune(setup, null, base, fits, judge);
+        let known = |other: &Fit| same(&other.hypothesis.effects, &base.hypothesis.effects);
+        if base.hypothesis.effects.len() > 1 && !found.iter().any(known) {
+            found.push(base);
+        }
+    }
+    found
+}
+
+/// The best fit with one effect more, if any effect promises something.
+fn extend(
+    setup: &Setup,
+    base: &Fit,
+    pool: &[EffectAt],
+    judge: &Judge,
+    done: &(dyn Fn(&str) + Sync),
+) -> Option<Fit> {
+    let nuisance = Nuisance::new(base);
+    let others: Vec<&EffectAt> = pool.iter().filter(|at| !base.hypothesis.effects.contains(at)).collect();
+    let mut scores: Vec<(f64, &EffectAt)> =
+        others.into_par_iter().map(|at| (score(setup, base, &nuisance, at), at)).collect();
+    scores.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(b.1)));
+    let hypotheses: Vec<_> = scores
+        .iter()
+        .filter(|(score, _)| *score > WORTH)
+        .take(ADDED)
+        .map(|(_, at)| {
+            let mut effects = base.hypothesis.effects.clone();
+            effects.push((*at).clone());
+            library::hypothesis(setup, &effects)
+        })
+        .collect();
+    if hypotheses.is_empty() {
+        return None;
+    }
+    let fits = fit_all(setup, base, hypotheses, done);
+    let least = fits.iter().map(|fit| judge.cost(fit)).fold(f64::INFINITY, f64::min);
+    // Of those that the evidence does not tell apart, the simplest.
+    let even = fits.into_iter().filter(|fit| judge.cost(fit) < least + WORTH);
+    even.min_by(|a, b| {
+        let size = |fit: &Fit| fit.hypothesis.fitted.len();
+        size(a).cmp(&size(b)).then(judge.cost(a).total_cmp(&judge.cost(b)))
+    })
+}
+
+/// How much of the base's squared innovations an effect's signature takes, at most: a score test.
+fn score(setup: &Setup, base: &Fit, nuisance: &Nuisance, at: &EffectAt) -> f64 {
+    let columns = nuisance.project_columns(&signature::columns(setup, base, at));
+    let basis = signature::orthonormal(&columns);
+    let along: DVector<f64> = basis.transpose() * &nuisance.innovations;
+    let score = along.norm_squared();
+    if score.is_finite() { score } else { 0.0 }
+}
+
+/// Leaves out each effect without which the evidence loses less than [`WORTH`], the least needed first.
+fn prune(setup: &Setup, null: &Fit, mut fit: Fit, fits: &[Fit], judge: &Judge) -> Fit {
+    while fit.hypothesis.effects.len() > 1 {
+        let effects = fit.hypothesis.effects.clone();
+        let without = (0..effects.len()).map(|left_out| {
+            let mut rest = effects.clone();
+            rest.remove(left_out);
+            match fits.iter().find(|f| same(&f.hypothesis.effects, &rest)) {
+                Some(known) => known.clone(),
+                None => fit_hypothesis(setup, null, library::hypothesis(setup, &rest)),
+            }
+        });
+        let best = without.min_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
+        match best.filter(|best| judge.cost(best) - judge.cost(&fit) < WORTH) {
+            Some(simpler) => fit = simpler,
+            None => break,
+        }
+    }
+    fit
+}
+
+/// Whether two lists hold the same effects.
+fn same(a: &[EffectAt], b: &[EffectAt]) -> bool {
+    a.len() == b.len() && a.iter().all(|at| b.contains(at))
+}

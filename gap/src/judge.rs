@@ -1,0 +1,49 @@
+//! Which loss decides, and what it says of a fit.
+
+use crate::search::{Fit, INEXACT};
+
+/// The judge of all hypotheses on one log.
+///
+/// Where some hypothesis reaches the sensors' noise, both losses are likelihoods of the data, and their mean decides:
+/// the two fail in different cases. Where none does, as on any real machine, the innovations are ruled by what every
+/// hypothesis lacks; the short windows judge what a simulator is for. Either way the windows' readings count for as
+/// many as their correlation leaves.
+#[derive(Clone, Copy, Debug)]
+pub struct Judge {
+    independence: f64,
+    exact: bool,
+    /// What the null model costs by windows and by innovations, and how many states it has.
+    null: (f64, f64, usize),
+}
+
+impl Judge {
+    /// From all fits, the null model's among them.
+    #[must_use]
+    pub fn new(null: &Fit, fits: &[Fit]) -> Self {
+        let best = fits
+            .iter()
+            .chain([null])
+            .min_by(|a, b| a.shooting_error.total_cmp(&b.shooting_error))
+            .unwrap_or(null);
+        Judge {
+            independence: best.independence,
+            exact: best.shooting_error <= INEXACT,
+            null: (null.shooting_cost, null.innovation.evidence_cost, null.innovation.pass.states()),
+        }
+    }
+
+    /// −2 log evidence, up to a constant.
+    #[must_use]
+    pub fn cost(&self, fit: &Fit) -> f64 {
+        let innovations = fit.innovation.evidence_cost;
+        let (null_windows, null_innovations, states) = self.null;
+        let mut windows = fit.shooting_cost;
+        // States beyond the nominal ones are free in each window, and may follow there what the hypothesis does not
+        // explain. The filter carries them from window to window: its gain bounds what is believed of the windows'.
+        if fit.innovation.pass.states() > states {
+            windows = windows.max(null_windows + innovations - null_innovations);
+        }
+        let windows = self.independence * windows;
+        if self.exact { 0.5 * (innovations + windows) } else { windows }
+    }
+}

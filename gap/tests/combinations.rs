@@ -1,0 +1,40 @@
+//! Two causes at once, from an integrator that shares nothing with the library.
+
+mod support;
+
+use parallax_gap::diagnosis::{Options, diagnose_experiment};
+use parallax_gap::report::Report;
+use parallax_model::system::System;
+use support::{Hidden, SYSTEM, record};
+
+fn diagnose(hidden: Hidden, seed: u64) -> Report {
+    let equations = System::parse(SYSTEM, "pendulum.toml").expect("valid").equations().expect("complete");
+    let experiment = record(hidden, seed, 20.0);
+    let found = diagnose_experiment(equations, experiment, "pendulum", &Options::default(), &|_, _| ());
+    found.expect("it can be diagnosed").report
+}
+
+fn names(report: &Report) -> Vec<String> {
+    let mut names: Vec<String> = report.which[0].effects.iter().map(|e| e.name.clone()).collect();
+    names.sort_unstable();
+    names
+}
+
+#[test]
+fn dry_friction_beside_a_late_command() {
+    let report =
+        diagnose(Hidden { forward: 0.03, backward: 0.03, input_delay: 0.04, ..Hidden::default() }, 11);
+    assert_eq!(names(&report), ["coulomb", "delay"], "{}", report.summary);
+    let value = |effect: &str, parameter: &str| {
+        let effect = report.which[0].effects.iter().find(|e| e.name == effect).expect("it is there");
+        effect.parameters[parameter].value
+    };
+    assert!((value("coulomb", "force") - 0.03).abs() < 0.003);
+    assert!((value("delay", "delay") - 0.04).abs() < 0.004);
+}
+
+#[test]
+fn a_single_cause_stays_alone() {
+    let report = diagnose(Hidden { lag: 0.06, ..Hidden::default() }, 12);
+    assert_eq!(names(&report), ["lag"], "{}", report.summary);
+}
