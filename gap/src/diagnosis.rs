@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use parallax_model::effect::Effect;
+use parallax_model::effect::{Effect, Place, PlaceKind};
 use parallax_model::system::{EffectEntry, Equations, System};
 use parallax_runtime::recording::log::Log;
 
@@ -133,7 +133,8 @@ pub fn diagnose_experiment(
     progress(0.0, "nominal model");
     let (setup, null) = prepare(equations, experiment, title, options)?;
     let nuisance = Nuisance::new(&null);
-    let (candidates, mut not_testable) = library::candidates(&setup);
+    let (mut candidates, mut not_testable) = library::candidates(&setup);
+    candidates.extend(outgrown(&setup, &null));
     let candidates = chosen(&setup, candidates, &mut not_testable, options)?;
     let (candidates, columns, absorbed) = screen(&setup, &null, &nuisance, candidates, &mut not_testable);
 
@@ -200,6 +201,19 @@ struct Found {
     p_value: f64,
     not_testable: Vec<library::NotTestable>,
     absorbed: Vec<Absorbed>,
+}
+
+/// Calibrated parameters that want to leave their bounds: each is a hypothesis of its own.
+fn outgrown(setup: &Setup, null: &Fit) -> Vec<EffectAt> {
+    let fitted = null.hypothesis.fitted.iter().enumerate();
+    fitted
+        .filter(|(j, _)| null.rests(*j))
+        .filter_map(|(_, f)| {
+            let Slot::Nominal(index) = f.slot else { return None };
+            let name = &setup.equations.system().parameters[index].name;
+            Some(EffectAt { effect: Effect::Parameter, place: Place::new(PlaceKind::Parameter, name.clone()) })
+        })
+        .collect()
 }
 
 /// The effects that the user lets be tried; the others are listed as not tested.

@@ -141,6 +141,13 @@ impl Hypothesis {
         self.effects.iter().map(EffectAt::label).collect::<Vec<_>>().join(" + ")
     }
 
+    /// Whether its effect is that a parameter of the nominal system has another value. Unlike calibrated parameters, such
+    /// a one has starts of its own.
+    #[must_use]
+    pub fn frees(&self, slot: Slot) -> bool {
+        matches!(slot, Slot::Nominal(_)) && self.fitted.iter().any(|f| f.slot == slot && !f.starts.is_empty())
+    }
+
     /// The starting points: every effect parameter's starts taken together, calibrated ones at their null.
     #[must_use]
     pub fn starts(&self) -> Vec<Vec<f64>> {

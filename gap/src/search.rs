@@ -34,7 +34,18 @@ pub struct Fit {
 /// Mean squared residual of the windows, in noise units squared, from which a model counts as inexact.
 pub const INEXACT: f64 = 1.5;
 
+/// Share of a parameter's range within which it counts as resting on a bound.
+const RESTS: f64 = 1e-3;
+
 impl Fit {
+    /// Whether a parameter ended on one of its bounds: the data ask for more than it may move.
+    #[must_use]
+    pub fn rests(&self, parameter: usize) -> bool {
+        let (fitted, value) = (&self.hypothesis.fitted[parameter], self.theta()[parameter]);
+        let near = RESTS * (fitted.high - fitted.low);
+        near.is_finite() && (value - fitted.low <= near || fitted.high - value <= near)
+    }
+
     /// The parameters by innovation likelihood, at which the evidence was taken.
     #[must_use]
     pub fn theta(&self) -> &[f64] {

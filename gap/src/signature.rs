@@ -27,7 +27,9 @@ impl Nuisance {
         let rows = null.innovation.pass.readings();
         let columns =
             DMatrix::from_row_slice(rows, p, &null.innovation.pass.whitened_by_parameter()[..rows * p]);
-        Nuisance { basis: orthonormal(&columns), innovations }
+        // A parameter that rests on its bound is not free to take an effect's place.
+        let free: Vec<usize> = (0..p).filter(|j| !null.rests(*j)).collect();
+        Nuisance { basis: orthonormal(&columns.select_columns(&free)), innovations }
     }
 
     /// Innovations without nuisance directions.
@@ -81,9 +83,11 @@ pub fn of_fit(setup: &Setup, null: &Fit, fit: &Fit) -> DVector<f64> {
     let mut theta = fit.estimate().to_vec();
     for (value, fitted) in theta.iter_mut().zip(&fit.hypothesis.fitted) {
         // Calibrated parameters keep their place: the signature is the effect's alone.
-        let calibrated = null.hypothesis.fitted.iter().any(|f| f.slot == fitted.slot);
-        if !calibrated {
-            *value = fitted.null;
+        match null.hypothesis.fitted.iter().position(|f| f.slot == fitted.slot) {
+            None => *value = fitted.null,
+            // But where the effect is that such a parameter has another value, it goes back to where the null left it.
+            Some(index) if fit.hypothesis.frees(fitted.slot) => *value = null.theta()[index],
+            Some(_) => {}
         }
     }
     let without = walk(&simulator, &setup.train, &setup.noise, &null.innovation.noise, &theta);
@@ -112,7 +116,9 @@ pub fn columns(setup: &Setup, null: &Fit, effect: &crate::hypothesis::EffectAt) 
         .fitted
         .iter()
         .enumerate()
-        .filter(|(_, f)| !null.hypothesis.fitted.iter().any(|n| n.slot == f.slot))
+        .filter(|(_, f)| {
+            hypothesis.frees(f.slot) || !null.hypothesis.fitted.iter().any(|n| n.slot == f.slot)
+        })
         .map(|(j, f)| all.column(j) * f.scale)
         .collect();
     if own.is_empty() { DMatrix::zeros(pass.readings(), 0) } else { DMatrix::from_columns(&own) }
