@@ -1,49 +1,12 @@
 //! Every effect of the library: at its null value nothing changes, its derivatives are right, several act together, and
 //! a system that states it predicts the same as a hypothesis that adds it.
 
-use parallax_gap::equations::EquationsSimulator;
-use parallax_gap::experiment::{Experiment, Held, Sample, SupplyVoltage};
-use parallax_gap::hypothesis::Slot;
-use parallax_gap::simulator::{Prediction, Run, Simulator, Transition};
+mod rotor;
+
 use parallax_model::effect::{Effect, Place, PlaceKind};
-use parallax_model::plant::Plant;
-use parallax_model::system::{EffectEntry, Equations, System};
+use parallax_model::system::{EffectEntry, System};
 use proptest::prelude::*;
-
-/// A rotating joint with everything that an effect may need, in air that moves, and a second reading.
-const SYSTEM: &str = r#"
-format = 1
-name = "rotor"
-
-[parameters]
-J = { value = 0.0125, unit = "kg m^2" }
-k = { value = 0.12, unit = "N m/V" }
-m = { value = 0.25, unit = "kg" }
-l = { value = 0.2, unit = "m" }
-b = { value = 0.004, unit = "N m s/rad" }
-
-[inputs]
-u = { signal = "voltage", supply = { signal = "battery", nominal = 12.0 } }
-
-[let]
-weight = "-m*9.81*l*sin(q)"
-torque = "k*u + weight - b*(v - air)"
-
-[state]
-q = { derivative = "v", initial = "angle" }
-v = { derivative = "torque/J" }
-air = { derivative = "-air/0.5", initial = 0.0 }
-
-[outputs]
-angle = { value = "q", unit = "rad" }
-speed = { value = "v", unit = "rad/s" }
-
-[joints]
-shaft = { position = "q", velocity = "v", inertia = "J", drive = "k*u", load = "weight", lever = "l", air = "air" }
-coupled = { position = "q", velocity = "v", force = "torque", drive = "k*u", load = "weight", payload = { J = "J + mass*l^2", m = "m + mass" } }
-"#;
-
-const STEP: f64 = 0.005;
+use rotor::{SYSTEM, equations, experiment, predictions, simulator};
 
 /// Each effect at a place, with values well inside its range.
 const CASES: &[(Effect, PlaceKind, usize, &[f64])] = &[
@@ -92,84 +55,6 @@ const CASES: &[(Effect, PlaceKind, usize, &[f64])] = &[
     (Effect::SensorSaturation, PlaceKind::Output, 0, &[0.03, 0.21]),
     (Effect::Saturation, PlaceKind::State, 1, &[-0.5, 1.1]),
 ];
-
-fn equations() -> Equations {
-    System::parse(SYSTEM, "rotor.toml").expect("valid").equations().expect("complete")
-}
-
-/// Half a second: a command that changes every 10 ms, readings of both outputs, a battery that sags.
-fn experiment() -> Experiment {
-    let mut held = Held::default();
-    let mut samples = Vec::new();
-    for k in 0..=50 {
-        let t = 0.01 * f64::from(k);
-        held.times.push(t);
-        held.values.push(1.1 * (9.0 * t).sin() + 0.4 * (31.0 * t + 1.0).sin());
-        let stamp = t + 0.0013;
-        samples.push(Sample { stamp, output: 0, value: 0.0 });
-        samples.push(Sample { stamp, output: 1, value: 0.0 });
-    }
-    let voltage = Held { times: vec![0.0, 0.153, 0.337], values: vec![12.3, 11.6, 10.9] };
-    Experiment {
-        inputs: vec![held],
-        supplies: vec![Some(SupplyVoltage { voltage, nominal: 12.0 })],
-        samples,
-        wraps: vec![None, None],
-        ..Experiment::default()
-    }
-}
-
-/// A simulator with these effects, each of whose parameters is an entry of θ.
-fn simulator<'a>(
-    equations: Equations,
-    effects: &[(Effect, PlaceKind, usize)],
-    experiment: &'a Experiment,
-) -> EquationsSimulator<'a> {
-    let joints = equations.system().joints.len();
-    let mut slots = Vec::new();
-    for (effect, (e, _, index)) in effects.iter().enumerate() {
-        if *e == Effect::Parameter {
-            slots.push(Slot::Nominal(*index));
-            continue;
-        }
-        slots.extend((0..e.parameters().len()).map(|parameter| Slot::Effect { effect, parameter }));
-    }
-    let bound: Vec<_> = effects.iter().copied().filter(|e| e.0 != Effect::Parameter).collect();
-    assert!(bound.len() == effects.len() || effects.len() == 1, "a parameter is tested alone");
-    let plant = Plant::new(equations, &bound, Vec::new(), vec![0.3; joints]);
-    EquationsSimulator::new(plant, slots, experiment, STEP)
-}
-
-/// Predictions from one start of the nominal states, with their derivatives by θ.
-fn predictions(simulator: &EquationsSimulator<'_>, theta: &[f64]) -> (Vec<f64>, Vec<Vec<f64>>) {
-    let p = simulator.parameters();
-    let (mut x, _) = simulator.start(&[0.1, 0.4, 0.2], &[1.0; 3], 0.0);
-    let n = x.len();
-    let mut run: Box<dyn Run> = simulator.run(theta);
-    let mut by = vec![0.0; n * p];
-    let (mut values, mut rows) = (Vec::new(), Vec::new());
-    let (mut transition, mut prediction) = (Transition::default(), Prediction::default());
-    for index in 0..run.events().len() {
-        if run.events()[index].reading.is_some() {
-            run.observe(index, &x, &mut prediction);
-            values.push(prediction.value);
-            let through = |j: usize| (0..n).map(|i| prediction.by_state[i] * by[i * p + j]).sum::<f64>();
-            rows.push((0..p).map(|j| through(j) + prediction.by_parameter[j]).collect());
-        }
-        if index + 1 < run.events().len() {
-            run.advance(index, &mut x, &mut transition);
-            let before = by.clone();
-            for i in 0..n {
-                for j in 0..p {
-                    let through: f64 =
-                        (0..n).map(|k| transition.by_state[i * n + k] * before[k * p + j]).sum();
-                    by[i * p + j] = through + transition.by_parameter[i * p + j];
-                }
-            }
-        }
-    }
-    (values, rows)
-}
 
 /// Largest difference, and how far the second goes.
 fn apart(a: &[f64], b: &[f64]) -> (f64, f64) {
