@@ -64,7 +64,33 @@ found! {
     asymmetric_friction: Hidden { forward: 0.05, backward: 0.015, ..Hidden::default() }
         => "asymmetric_friction" at "joint:shaft" with [("forward", 0.05), ("backward", 0.015)];
     bias: Hidden { bias: 0.08, ..Hidden::default() } => "bias" at "output:angle" with [("bias", 0.08)];
-    parameter: Hidden { mass: 0.08, ..Hidden::default() } => "parameter" at "parameter:m" with [("value", 0.33)];
+    parameter: Hidden { gravity: 2.5, ..Hidden::default() } => "parameter" at "parameter:g" with [("value", 12.31)];
+    payload: Hidden { mass: 0.08, ..Hidden::default() } => "payload" at "joint:shaft" with [("mass", 0.08)];
+    second_order_lag: Hidden { lag: 0.04, damping: 0.5, ..Hidden::default() }
+        => "lag" at "input:u" with [("time_constant", 0.04), ("damping", 0.5)];
+    rate_limit: Hidden { rate: Some(9.0), ..Hidden::default() } => "rate_limit" at "input:u" with [("rate", 9.0)];
+    backlash: Hidden { play: 0.6, ..Hidden::default() } => "backlash" at "input:u" with [("gap", 0.6)];
+    stribeck: Hidden { forward: 0.02, backward: 0.02, breakaway: (0.04, 1.0), ..Hidden::default() }
+        => "stribeck" at "joint:shaft" with [("coulomb", 0.02), ("extra", 0.04)];
+    load_friction: Hidden { gear: 0.12, ..Hidden::default() } => "load_friction" at "joint:shaft" with [("ratio", 0.12)];
+    quadratic_drag: Hidden { drag: 0.004, ..Hidden::default() }
+        => "quadratic_drag" at "joint:shaft" with [("coefficient", 0.004)];
+    cogging: Hidden { poles: (0.03, 7.0), ..Hidden::default() }
+        => "cogging" at "joint:shaft" with [("amplitude", 0.03), ("wavenumber", 7.0)];
+    gravity_tilt: Hidden { tilt: 0.1, ..Hidden::default() } => "gravity_tilt" at "joint:shaft" with [("angle", 0.1)];
+    spring: Hidden { spring: (0.15, 0.3), ..Hidden::default() }
+        => "spring" at "joint:shaft" with [("stiffness", 0.15), ("rest", 0.3)];
+    periodic_disturbance: Hidden { vibration: (0.03, 4.3), ..Hidden::default() }
+        => "periodic_disturbance" at "joint:shaft" with [("amplitude", 0.03), ("frequency", 4.3)];
+    end_stop: Hidden { wall: 3.0, ..Hidden::default() }
+        => "end_stop" at "joint:shaft" with [("limit", 0.8), ("stiffness", 3.0)];
+    flexibility: Hidden { flexible: Some((8.0, 0.02, 0.3)), ..Hidden::default() }
+        => "flexibility" at "joint:shaft" with [("stiffness", 8.0), ("ratio", 0.3)];
+    scale: Hidden { scale: 0.12, ..Hidden::default() } => "scale" at "output:angle" with [("scale", 1.12)];
+    drift: Hidden { drift: 0.01, ..Hidden::default() } => "drift" at "output:angle" with [("rate", 0.01)];
+    sensor_lag: Hidden { filter: 0.05, ..Hidden::default() }
+        => "sensor_lag" at "output:angle" with [("time_constant", 0.05)];
+    clock_skew: Hidden { skew: 0.005, ..Hidden::default() } => "clock_skew" at "output:angle" with [("skew", 0.005)];
 }
 
 #[test]
@@ -76,8 +102,8 @@ fn nothing_hidden_is_no_gap() {
 }
 
 #[test]
-fn a_wall_is_none_of_these() {
-    let report = diagnosed(Hidden { wall: 3.0, ..Hidden::default() }, 7).report;
+fn friction_with_a_memory_is_none_of_these() {
+    let report = diagnosed(Hidden { bristle: 0.4, ..Hidden::default() }, 7).report;
     assert!(report.gap.detected, "p = {}", report.gap.p_value);
     for answer in &report.which {
         assert!(

@@ -44,8 +44,43 @@ pub(crate) struct Hidden {
     pub(crate) backward: f64,
     pub(crate) bias: f64,
     pub(crate) mass: f64,
-    /// A one-sided wall: stiffness beyond 0.8 rad. No named effect describes it.
+    /// Another gravity.
+    pub(crate) gravity: f64,
+    /// A one-sided wall: stiffness beyond 0.8 rad.
     pub(crate) wall: f64,
+    /// Torque for each rad by which the joint has turned without reversing, up to 0.2 rad: friction that remembers where
+    /// it last reversed, as no named effect does.
+    pub(crate) bristle: f64,
+    /// Damping of the lag, which then is of second order.
+    pub(crate) damping: f64,
+    /// Fastest change of the command.
+    pub(crate) rate: Option<f64>,
+    /// Full play between the command and what it moves.
+    pub(crate) play: f64,
+    /// Dry friction beyond the forward and backward ones at rest, and the speed at which it has fallen by e.
+    pub(crate) breakaway: (f64, f64),
+    /// Dry friction as a share of the torque that the shaft transmits.
+    pub(crate) gear: f64,
+    /// Drag with the square of speed.
+    pub(crate) drag: f64,
+    /// Torque of the poles and their number.
+    pub(crate) poles: (f64, f64),
+    /// Tilt of the base (rad).
+    pub(crate) tilt: f64,
+    /// Stiffness of a spring and where it rests.
+    pub(crate) spring: (f64, f64),
+    /// Torque of a vibration and its frequency (Hz).
+    pub(crate) vibration: (f64, f64),
+    /// The sensor's scale beyond one.
+    pub(crate) scale: f64,
+    /// Growth of the sensor's error per second.
+    pub(crate) drift: f64,
+    /// Time constant of the sensor's filter.
+    pub(crate) filter: f64,
+    /// What the sensor's clock gains per second.
+    pub(crate) skew: f64,
+    /// Stiffness, damping and rotor's share of a drive through a spring.
+    pub(crate) flexible: Option<(f64, f64, f64)>,
 }
 
 /// Twenty seconds at 100 Hz: an excitation of several sines with a changing amplitude, one noisy angle.
@@ -57,7 +92,7 @@ pub(crate) fn record(hidden: Hidden, seed: u64, duration: f64) -> Experiment {
         0.25 + hidden.mass,
         0.2,
         0.004,
-        9.81,
+        9.81 + hidden.gravity,
     );
     let phases: Vec<f64> = (0..6).map(|_| random.random_range(0.0..std::f64::consts::TAU)).collect();
     let command = |t: f64| {
@@ -73,18 +108,26 @@ pub(crate) fn record(hidden: Hidden, seed: u64, duration: f64) -> Experiment {
     let period = 0.01;
     let mut held = Held::default();
     let mut samples = Vec::new();
-    let (mut q, mut w, mut lagged) = (0.1, 0.0, 0.0);
+    let (mut q, mut w, mut lagged, mut lagged_rate) = (0.1, 0.0, 0.0, 0.0);
+    let (mut followed, mut played, mut shown) = (0.0_f64, 0.0_f64, 0.1);
+    let (mut rotor, mut rotor_speed, mut bristle) = (0.1, 0.0, 0.0_f64);
     let steps = (duration / h).round() as usize;
     let every = (period / h).round() as usize;
+    let mut stamped = 0_u32;
     for k in 0..=steps {
         let t = k as f64 * h;
         if k % every == 0 {
             held.times.push(t);
             held.values.push(command(t));
+        }
+        if t >= f64::from(stamped) * period / (1.0 + hidden.skew) - 1e-9 {
+            let seen = if hidden.filter > 0.0 { shown } else { q };
             let noise = 0.0015 * normal(&mut random);
-            let angle = (q + hidden.bias + noise + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU)
-                - std::f64::consts::PI;
-            samples.push(Sample { stamp: t, output: 0, value: angle });
+            let seen = (1.0 + hidden.scale) * seen + hidden.bias + hidden.drift * t + noise;
+            let angle =
+                (seen + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI;
+            samples.push(Sample { stamp: f64::from(stamped) * period, output: 0, value: angle });
+            stamped += 1;
         }
         let late = t - hidden.input_delay;
         let index = ((late / period + 1e-9).floor().max(0.0)) as usize;
@@ -98,21 +141,55 @@ pub(crate) fn record(hidden: Hidden, seed: u64, duration: f64) -> Experiment {
         } else {
             u -= hidden.deadband * u.signum();
         }
-        if hidden.lag > 0.0 {
+        if let Some(rate) = hidden.rate {
+            followed += (u - followed).max(-rate * h).min(rate * h);
+            u = followed;
+        }
+        if hidden.damping > 0.0 {
+            lagged_rate += h * ((u - lagged) / hidden.lag - 2.0 * hidden.damping * lagged_rate) / hidden.lag;
+            lagged += h * lagged_rate;
+            u = lagged;
+        } else if hidden.lag > 0.0 {
             lagged += h * (u - lagged) / hidden.lag;
             u = lagged;
         }
-        let mut torque = gain * u - mass * gravity * length * q.sin() - (friction + hidden.viscous) * w;
+        if hidden.play > 0.0 {
+            played = played.max(u - 0.5 * hidden.play).min(u + 0.5 * hidden.play);
+            u = played;
+        }
+        let weight = -mass * gravity * length * (q + hidden.tilt).sin();
+        let mut inertia = inertia;
+        let mut drive = gain * u;
+        let mut gear = hidden.gear * (drive - weight).abs();
+        if let Some((stiffness, damping, share)) = hidden.flexible {
+            let spring = stiffness * (rotor - q) + damping * (rotor_speed - w);
+            rotor_speed += h * (drive - spring) / (share * inertia);
+            rotor += h * rotor_speed;
+            (drive, gear) = (spring, 0.0);
+            inertia *= 1.0 - share;
+        }
+        let mut torque = drive + weight - (friction + hidden.viscous) * w - hidden.drag * w * w.abs();
+        torque += hidden.poles.0 * (hidden.poles.1 * q + 0.6).sin();
+        torque -= hidden.spring.0 * (q - hidden.spring.1);
+        torque += hidden.vibration.0 * (std::f64::consts::TAU * hidden.vibration.1 * t + 0.9).sin();
+        bristle = (bristle + h * w).max(-0.2).min(0.2);
+        torque -= hidden.bristle * bristle;
         if hidden.wall > 0.0 && q > 0.8 {
             torque -= hidden.wall * (q - 0.8);
         }
         // Dry friction that may hold: it takes at most what would stop the joint within the step.
         let inertia_now = inertia + if hidden.mass == 0.0 { 0.0 } else { hidden.mass * length * length };
         let free = w + h * torque / inertia_now;
-        let dry = if free > 0.0 { hidden.forward } else { hidden.backward };
+        let mut dry = if free > 0.0 { hidden.forward } else { hidden.backward } + gear;
+        if hidden.breakaway.0 > 0.0 {
+            dry += hidden.breakaway.0 * (-(w / hidden.breakaway.1).powi(2)).exp();
+        }
         let most = h * dry / inertia_now;
         w = if free.abs() <= most { 0.0 } else { free - most * free.signum() };
         q += h * w;
+        if hidden.filter > 0.0 {
+            shown += h * (q - shown) / hidden.filter;
+        }
     }
     Experiment {
         inputs: vec![held],
