@@ -304,6 +304,19 @@ impl Effect {
         catalogue::of(self).parameters
     }
 
+    /// The effects that it contains: with some of its parameters at their null value, or equal to each other, it is one
+    /// of these. Where the data do not ask for more, the simpler one is the answer.
+    #[must_use]
+    pub const fn simpler(self) -> &'static [Effect] {
+        match self {
+            Effect::LagSecondOrder => &[Effect::Lag],
+            Effect::SaturationSoft => &[Effect::Saturation],
+            Effect::Stribeck | Effect::AsymmetricFriction => &[Effect::Coulomb],
+            Effect::AsymmetricViscous => &[Effect::Viscous],
+            _ => &[],
+        }
+    }
+
     /// Whether it leaves the mean of every prediction as it is: such an effect shows in the distribution of the
     /// residuals and in the stamps, and no fit of predictions can find it.
     #[must_use]
