@@ -65,6 +65,9 @@ pub enum BindError {
         /// How many there should be.
         needed: usize,
     },
+    /// No recording was given.
+    #[error("no recording was given; a diagnosis needs at least one")]
+    Nothing,
     /// The system compares nothing.
     #[error("{file}: the system has no [outputs], so there is nothing to compare with the recording")]
     NoOutputs {
@@ -77,6 +80,37 @@ impl From<SystemError> for BindError {
     fn from(error: SystemError) -> Self {
         BindError::System(Box::new(error))
     }
+}
+
+/// Binds a system to several recordings: the system with the first one's constants, and the recordings one after the
+/// other, each with its own.
+///
+/// # Errors
+///
+/// [`BindError`] when one of them does not fit.
+pub fn bind_all(system: &System, logs: &[Log]) -> Result<(Equations, Experiment), BindError> {
+    let mut bound = logs.iter().map(|log| bind(system, log)).collect::<Result<Vec<_>, _>>()?;
+    if bound.len() == 1 {
+        return Ok(bound.remove(0));
+    }
+    let names = |equations: &Equations| -> Vec<String> {
+        equations.system().parameters.iter().map(|p| p.name.clone()).collect()
+    };
+    let Some((equations, _)) = bound.first().cloned() else { return Err(BindError::Nothing) };
+    // Constants may come in another order. What the equations use is in each recording, or binding it has failed.
+    let (order, usual) = (names(&equations), equations.nominal());
+    let recordings = bound
+        .into_iter()
+        .zip(logs)
+        .map(|((own, experiment), log)| {
+            let (own_names, values) = (names(&own), own.nominal());
+            let value = |(name, usual): (&String, &f64)| {
+                own_names.iter().position(|n| n == name).map_or(*usual, |k| values[k])
+            };
+            (log.title.clone(), experiment, order.iter().zip(&usual).map(value).collect())
+        })
+        .collect();
+    Ok((equations, Experiment::join(recordings)))
 }
 
 /// Fewest samples of an output from which a gap can be told from noise.

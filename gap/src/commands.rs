@@ -59,7 +59,7 @@ pub fn changes<const N: usize>(
     }
     let mut out: Vec<Change<N>> = Vec::with_capacity(pieces.len());
     for piece in &pieces {
-        let time = arrival(&here, Dual::from_value(piece.stamp));
+        let time = arrival(&here, Dual::from_value(piece.stamp), experiment.origin(piece.stamp));
         out.push(Change { time, value: piece.value });
     }
     out
@@ -81,13 +81,40 @@ pub fn taken<const N: usize>(plant: &Plant, extra: &[Dual<N>], output: usize, st
     time
 }
 
-/// When a command acts that is stamped `stamp`: its delay grows with time where the clock is skewed.
-fn arrival<const N: usize>(here: &[(&BoundEffect, Vec<Dual<N>>)], stamp: Dual<N>) -> Dual<N> {
+/// Whether readings of an output may be taken at another time than their stamp says.
+#[must_use]
+pub fn is_late(plant: &Plant, output: usize) -> bool {
+    let late = |b: &&BoundEffect| matches!(b.effect, Effect::Delay | Effect::ClockSkew);
+    plant.effects_at(PlaceKind::Output, output).iter().any(late)
+}
+
+/// What a late reading shows of a command, stamped `stamp` (s) and taken at `time`.
+///
+/// A reading that shows a command directly would be flat in its delay between two commands, and no fit could find the
+/// delay. It shows the command interpolated between its samples instead: without a delay the one that holds, and a
+/// delay of one period later the one before, whatever the phase between stamps and commands.
+#[must_use]
+pub fn between<const N: usize>(channel: &[Change<N>], stamp: f64, time: Dual<N>) -> Dual<N> {
+    let after = |t: f64| channel.partition_point(|c| c.time.value <= t).saturating_sub(1);
+    let Some(holds) = channel.get(after(stamp)) else { return Dual::from_value(0.0) };
+    let back = holds.time + (time - stamp);
+    let at = after(back.value);
+    let here = channel[at];
+    match channel.get(at + 1) {
+        Some(next) if back.value >= here.time.value && next.time.value > here.time.value => {
+            here.value + (next.value - here.value) * ((back - here.time) / (next.time - here.time))
+        }
+        _ => here.value,
+    }
+}
+
+/// When a command acts that is stamped `stamp`: its delay grows from the recording's own zero where the clock is skewed.
+fn arrival<const N: usize>(here: &[(&BoundEffect, Vec<Dual<N>>)], stamp: Dual<N>, origin: f64) -> Dual<N> {
     let mut time = stamp;
     for (bound, own) in here {
         match bound.effect {
             Effect::Delay => time += own[0],
-            Effect::ClockSkew => time += own[0] * stamp.value,
+            Effect::ClockSkew => time += own[0] * (stamp.value - origin),
             _ => {}
         }
     }
@@ -194,5 +221,25 @@ fn act<const N: usize>(
             }
             effect => effect.input(own, piece.value),
         };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_late_reading_shows_earlier_commands_smoothly() {
+        let change = |(k, value): (usize, &f64)| Change::<1> {
+            time: Dual::from_value(0.1 * k as f64),
+            value: Dual::from_value(*value),
+        };
+        let channel: Vec<Change<1>> = [1.0, 3.0, 2.0, 6.0].iter().enumerate().map(change).collect();
+        // Stamped 40 ms after the command that holds.
+        let shown = |delay: f64| between(&channel, 0.24, Dual::variable(delay, 0) * -1.0 + 0.24);
+        assert!((shown(0.0).value - 2.0).abs() < 1e-9 && (shown(0.1).value - 3.0).abs() < 1e-9);
+        assert!((shown(0.2).value - 1.0).abs() < 1e-9 && (shown(9.0).value - 1.0).abs() < 1e-9);
+        let halfway = shown(0.05);
+        assert!((halfway.value - 2.5).abs() < 1e-9 && (halfway.gradient[0] - 10.0).abs() < 1e-6);
     }
 }

@@ -6,7 +6,7 @@ use parallax_model::effect::{Effect, Place, PlaceKind};
 use parallax_model::system::{EffectEntry, Equations, System};
 use parallax_runtime::recording::log::Log;
 
-use crate::bind::{BindError, bind};
+use crate::bind::{BindError, bind, bind_all};
 use crate::detect;
 use crate::equations::MOST_VARIABLES;
 use crate::excitation::{self, Wishes};
@@ -116,6 +116,25 @@ pub fn diagnose(
     }
     let (equations, experiment) = bind(system, log)?;
     diagnose_experiment(equations, experiment, &log.title, options, progress)
+}
+
+/// Diagnoses several recordings of one machine together: the parameters are shared, states and constants are each
+/// recording's own. Of three or more, every third is held out as a whole.
+///
+/// # Errors
+///
+/// [`DiagnosisError`] when system and recordings do not fit together or cannot carry a diagnosis.
+pub fn diagnose_all(
+    system: &System,
+    logs: &[Log],
+    options: &Options,
+    progress: &(dyn Fn(f64, &str) + Sync),
+) -> Result<Diagnosis, DiagnosisError> {
+    let (equations, experiment) = bind_all(system, logs)?;
+    let titles: Vec<&str> = logs.iter().map(|log| log.title.as_str()).collect();
+    let mut found = diagnose_experiment(equations, experiment, &titles.join(", "), options, progress)?;
+    found.report.recordings = titles.into_iter().map(str::to_owned).collect();
+    Ok(found)
 }
 
 /// Diagnoses one recording that is already bound to a system; `title` is its name in the report.

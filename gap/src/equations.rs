@@ -106,6 +106,8 @@ impl<'a> EquationsSimulator<'a> {
             simulator: self,
             variables: if full { self.slots.len() } else { 0 },
             machine: Machine::new(field, &parameters),
+            parameters,
+            loaded: [0; LANES],
             drive: Drive::new(self.experiment.inputs.len(), timed),
             table,
             scratch: Vec::new(),
@@ -166,8 +168,14 @@ struct Table {
     events: Vec<Event>,
     /// Derivatives of the events' times, events × timed.
     times_by: Vec<f64>,
+    /// Where the zero of each event's recording lies (s).
+    origins: Vec<f64>,
+    /// The recording of each event.
+    parts: Vec<u32>,
     /// For each event and input, the index of the change that holds.
     current: Vec<u32>,
+    /// The same for what a reading shows: a late reading of a command has values of its own.
+    shown: Vec<u32>,
     /// For each input, the values of its changes.
     values: Vec<Vec<f64>>,
     /// For each input, their derivatives, changes × timed.
@@ -199,7 +207,9 @@ fn table<const N: usize>(simulator: &EquationsSimulator<'_>, theta: &[f64], extr
         all.extend(channel.iter().map(|c| (c.time, What::Change)));
     }
     for sample in &experiment.samples {
-        let time = commands::taken(&simulator.plant, &extra, sample.output, sample.stamp);
+        // A clock goes astray from the beginning of its own recording.
+        let origin = experiment.origin(sample.stamp);
+        let time = commands::taken(&simulator.plant, &extra, sample.output, sample.stamp - origin) + origin;
         let reading = Reading { output: sample.output, value: sample.value, stamp: sample.stamp };
         all.push((time, What::Reading(reading)));
     }
@@ -207,6 +217,9 @@ fn table<const N: usize>(simulator: &EquationsSimulator<'_>, theta: &[f64], extr
     all.sort_by(|a, b| a.0.value.total_cmp(&b.0.value));
     let mut table = Table::default();
     let mut current = vec![0_u32; inputs];
+    let late: Vec<bool> =
+        (0..experiment.wraps.len()).map(|output| commands::is_late(&simulator.plant, output)).collect();
+    let mut between: Vec<Vec<Dual<N>>> = vec![Vec::new(); inputs];
     for (time, what) in all {
         for (input, channel) in changes.iter().enumerate() {
             let mut at = current[input] as usize;
@@ -220,12 +233,24 @@ fn table<const N: usize>(simulator: &EquationsSimulator<'_>, theta: &[f64], extr
             What::Change => None,
             What::Reading(reading) => Some(reading),
         };
+        match reading.filter(|r| late[r.output]) {
+            Some(reading) => {
+                for (input, channel) in changes.iter().enumerate() {
+                    table.shown.push((channel.len() + between[input].len()) as u32);
+                    between[input].push(commands::between(channel, reading.stamp, time));
+                }
+            }
+            None => table.shown.extend_from_slice(&current),
+        }
         table.events.push(Event { time: time.value, reading });
+        table.parts.push(experiment.part(time.value) as u32);
+        table.origins.push(experiment.origin(time.value));
         table.times_by.extend_from_slice(&time.gradient[..count]);
     }
-    for channel in &changes {
-        table.values.push(channel.iter().map(|c| c.value.value).collect());
-        table.values_by.push(channel.iter().flat_map(|c| c.value.gradient[..count].to_vec()).collect());
+    for (channel, between) in changes.iter().zip(between) {
+        let values: Vec<Dual<N>> = channel.iter().map(|c| c.value).chain(between).collect();
+        table.values.push(values.iter().map(|v| v.value).collect());
+        table.values_by.push(values.iter().flat_map(|v| v.gradient[..count].to_vec()).collect());
     }
     table
 }
@@ -236,24 +261,59 @@ struct EquationsRun<'a> {
     /// How many entries of θ are variables.
     variables: usize,
     machine: Machine<'a>,
+    /// The parameters, with the first recording's constants.
+    parameters: Vec<f64>,
+    /// The recording whose constants each lane has.
+    loaded: [u32; LANES],
     drive: Drive,
     table: Arc<Table>,
     scratch: Vec<F64x16>,
 }
 
 impl EquationsRun<'_> {
-    /// Commands and times as they are at the lanes' events.
-    fn load(&mut self, at: &At) {
+    /// Constants as they are in the lanes' recordings.
+    fn load_constants(&mut self, at: &At) {
+        let parts = &self.simulator.experiment.parts;
+        if parts.len() < 2 {
+            return;
+        }
+        let mut wanted = self.loaded;
+        for (lane, index) in at.iter().enumerate() {
+            if let Some(index) = index {
+                wanted[lane] = self.table.parts[*index];
+            }
+        }
+        if wanted == self.loaded {
+            return;
+        }
+        self.loaded = wanted;
+        let mut lanes: Vec<F64x16> = self.parameters.iter().map(|v| F64x16::splat(*v)).collect();
+        let fitted: Vec<usize> =
+            self.simulator.slots.iter().map(|slot| position(&self.simulator.plant, slot)).collect();
+        for (index, lanes) in lanes.iter_mut().enumerate().filter(|(index, _)| !fitted.contains(index)) {
+            for (lane, part) in wanted.iter().enumerate() {
+                if let Some(value) = parts[*part as usize].parameters.get(index) {
+                    lanes[lane] = *value;
+                }
+            }
+        }
+        self.machine.set_parameters(&lanes);
+    }
+
+    /// Commands and times as they are at the lanes' events, or as the readings there show them.
+    fn load(&mut self, at: &At, reading: bool) {
+        self.load_constants(at);
         let inputs = self.table.values.len();
         let count = self.drive.timed.len();
         for (lane, index) in at.iter().enumerate() {
             let Some(index) = *index else { continue };
-            self.drive.time[lane] = self.table.events[index].time;
+            self.drive.time[lane] = self.table.events[index].time - self.table.origins[index];
             for k in 0..count {
                 self.drive.time_by[k][lane] = self.table.times_by[index * count + k];
             }
             for input in 0..inputs {
-                let change = self.table.current[index * inputs + input] as usize;
+                let holds = if reading { &self.table.shown } else { &self.table.current };
+                let change = holds[index * inputs + input] as usize;
                 self.drive.commands[input][lane] =
                     self.table.values[input].get(change).copied().unwrap_or(0.0);
                 for k in 0..count {
@@ -295,7 +355,7 @@ impl Run for EquationsRun<'_> {
         if still {
             return;
         }
-        self.load(at);
+        self.load(at, false);
         // A rounding excess must not double the work of a step that just fits.
         let steps = (longest / self.simulator.step - 1e-6).ceil().max(1.0);
         self.drive.steps = steps as usize;
@@ -307,7 +367,7 @@ impl Run for EquationsRun<'_> {
     }
 
     fn observe_lanes(&mut self, at: &At, motion: &Motion, by: &mut Vec<F64x16>) -> F64x16 {
-        self.load(at);
+        self.load(at, true);
         let mut value = F64x16::splat(0.0);
         let output = |events: &[Event], lane: usize| Some(events[at[lane]?].reading?.output);
         let outputs: Vec<Option<usize>> = (0..LANES).map(|lane| output(&self.table.events, lane)).collect();

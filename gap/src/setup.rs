@@ -137,14 +137,12 @@ impl Setup {
         let thin = ((horizon / READINGS_PER_WINDOW / period) + 1e-6).floor().max(1.0) as usize;
         experiment.thin(thin);
         let period = period * thin as f64;
-        for held in &mut experiment.inputs {
-            *held = held.averaged(period / COMMANDS_PER_READING);
-        }
+        experiment.average_commands(period / COMMANDS_PER_READING);
         for supply in experiment.supplies.iter_mut().flatten() {
             supply.voltage = supply.voltage.averaged(period);
         }
         let (state, std) = guess(&equations, &experiment, &output_scale, period);
-        let (train, test) = segments(&experiment, horizon, &state, &std);
+        let (train, test) = segments(&experiment, horizon, period, &state, &std);
         let scale: Vec<f64> = (0..equations.system().states.len())
             .map(|i| f64::from(u8::from(!kinematic(&equations, i))))
             .collect();
@@ -330,29 +328,65 @@ fn guess(
     (state, std)
 }
 
-/// Cuts the log into blocks: of every three, the third is held out.
+/// Cuts the log into blocks: of every three, the third is held out. Of three recordings or more, every third is held out
+/// as a whole: what was learned must hold on another run.
 fn segments(
     experiment: &Experiment,
     horizon: f64,
+    period: f64,
     state: &[f64],
     std: &[f64],
 ) -> (Vec<Segment>, Vec<Segment>) {
-    let (from, to) = experiment.span();
-    let blocks = (((to - from) / (4.0 * horizon)).floor() as usize).clamp(1, BLOCKS);
-    let length = (to - from) / blocks as f64;
     let mut train: Vec<Segment> = Vec::new();
     let mut test = Vec::new();
-    for block in 0..blocks {
-        let a = from + block as f64 * length;
-        let b = if block + 1 == blocks { to + 1e-9 } else { a + length };
-        let segment = Segment { from: a, to: b, state: state.to_vec(), std: std.to_vec() };
-        if block % 3 == 2 || (blocks == 2 && block == 1) {
-            test.push(segment);
-        } else if let Some(last) = train.last_mut().filter(|s| (s.to - a).abs() < 1e-9) {
-            last.to = b;
-        } else {
-            train.push(segment);
+    let segment = |from: f64, to: f64| Segment { from, to, state: state.to_vec(), std: std.to_vec() };
+    let spans = experiment.spans();
+    let whole = spans.len() >= 3;
+    for (k, (from, to)) in spans.iter().copied().enumerate() {
+        if whole {
+            match k % 3 == 2 {
+                // The filter needs readings before the first prediction.
+                true => test.push(segment((from + 2.0 * horizon).min(to), to + 1e-9)),
+                false => train.push(segment(from, to + 1e-9)),
+            }
+            continue;
+        }
+        let blocks = (((to - from) / (4.0 * horizon)).floor() as usize).clamp(1, BLOCKS);
+        let length = (to - from) / blocks as f64;
+        for block in 0..blocks {
+            let a = from + block as f64 * length;
+            let b = if block + 1 == blocks { to + 1e-9 } else { a + length };
+            if block % 3 == 2 || (blocks == 2 && block == 1) {
+                test.push(segment(a, b));
+            } else if let Some(last) = train.last_mut().filter(|s| (s.to - a).abs() < 1e-9) {
+                last.to = b;
+            } else {
+                train.push(segment(a, b));
+            }
         }
     }
-    (train, test)
+    let gap = GAP.0 * horizon.max(GAP.1 * period);
+    (without_gaps(experiment, train, gap), without_gaps(experiment, test, gap))
+}
+
+/// Time without readings, in horizons or in tens of periods, over which no state is carried.
+const GAP: (f64, f64) = (2.0, 10.0);
+
+/// Segments cut where no output was read for longer than `gap`.
+fn without_gaps(experiment: &Experiment, segments: Vec<Segment>, gap: f64) -> Vec<Segment> {
+    let samples = &experiment.samples;
+    let mut out = Vec::new();
+    for segment in segments {
+        let begin = samples.partition_point(|s| s.stamp < segment.from);
+        let inside = &samples[begin..begin + samples[begin..].partition_point(|s| s.stamp < segment.to)];
+        let mut from = segment.from;
+        for pair in inside.windows(2) {
+            if pair[1].stamp - pair[0].stamp > gap {
+                out.push(Segment { from, to: pair[0].stamp + 1e-9, ..segment.clone() });
+                from = pair[1].stamp;
+            }
+        }
+        out.push(Segment { from, ..segment });
+    }
+    out
 }

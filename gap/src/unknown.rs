@@ -65,7 +65,7 @@ fn features(setup: &Setup, null: &Fit, unknown: Unknown, count: usize) -> Vec<Fe
             bumps(Variable::Input(input), range.low, range.high, count);
         }
     }
-    let (from, to) = setup.experiment.span();
+    let (from, to) = setup.experiment.own_span();
     bumps(Variable::Time, from, to, 2 * count);
     features
 }
