@@ -12,7 +12,7 @@ pub(super) struct Peak {
 }
 
 /// Points of the search, and of the quadrature around its peak.
-const POINTS: usize = 161;
+const POINTS: usize = 61;
 
 /// Fall of the log likelihood beyond which nothing counts.
 const FAR: f64 = 14.0;

@@ -1,177 +1,259 @@
 //! Times that scatter, and commands that are lost: what they leave in the innovations of a fitted model.
 //!
-//! A reading taken at another time is wrong by its rate times the difference; so the innovation's variance grows with
-//! the square of what a small delay would change. A command that is lost leaves the one before for one more period: a
-//! shift of known size, now and then. A wrong mean leaves innovations that resemble their neighbours instead, so only
-//! white ones are judged.
+//! A reading taken at another time is wrong by its rate times the difference. A command that acts at another time, or is
+//! lost, kicks the plant; how far that moves each innovation is found by running the filter along commands that were
+//! disturbed at random. Either way the innovation's variance grows with the square of that size, reading by reading. A
+//! wrong mean leaves innovations that resemble their neighbours instead, so only white ones are judged.
 
-use parallax_model::effect::{Effect, Place, PlaceKind};
+use parallax_model::effect::Place;
+use parallax_model::effect::PlaceKind;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 
-use super::peak::{Peak, peak};
+use super::peak::peak;
 use super::{LogDensity, ReadingEffect, found};
-use crate::hypothesis::EffectAt;
+use crate::experiment::Held;
+use crate::filter::{Noise, Pass};
 use crate::innovation::{Segment, walk};
 use crate::library;
 use crate::report::Value;
 use crate::search::Fit;
 use crate::setup::Setup;
+use crate::simulator::wrapped;
 use crate::statistics::{median, root_mean_square};
 
-/// Correlation of successive innovations up to which they count as white.
+/// Correlation of successive innovations up to which they count as free of a wrong mean.
 const WHITE: f64 = 0.25;
 
-/// Whitened innovations, and what a small delay at one place would change in them (1/s).
+/// Disturbed runs whose mean square stands for the variance.
+const RUNS: u64 = 12;
+
+/// Readings on each side over which the mean square is smoothed.
+const SMOOTH: usize = 4;
+
+/// Readings on each side from which the rate of an output is taken.
+const RATE: usize = 2;
+
+/// Share of the innovations' size that a scatter must make up to be named.
+const NOTABLE: f64 = 0.2;
+
+/// How far a declared noise may be exceeded, as the logarithm of its variance.
+const OPEN: f64 = 12.0;
+
+/// Share of commands that is lost in the disturbed runs.
+const LOST: f64 = 0.1;
+
+/// Whitened innovations, and the standard deviation that one unit of an effect adds to each.
 struct Sensitivity {
     innovations: Vec<f64>,
-    by_delay: Vec<f64>,
+    size: Vec<f64>,
 }
 
 /// Scatter at every input and output under a fitted model of the mean: `jitter` of both, `drops` of inputs.
 ///
-/// Places where the model has a delay that this log cannot show are left out.
+/// Jitter and drops at one input leave nearly the same trace; only the likelier of the two can be significant.
 #[must_use]
 pub fn scatter(setup: &Setup, fit: &Fit) -> Vec<ReadingEffect> {
     let system = setup.equations.system();
-    let inputs = system.inputs.iter().map(|i| Place::new(PlaceKind::Input, i.name.clone()));
-    let outputs = system.outputs.iter().map(|o| Place::new(PlaceKind::Output, o.name.clone()));
+    let segments = [&setup.train, &setup.test];
+    let noise = open_noise(setup, fit);
+    let passes = segments.map(|s| pass(setup, fit, &noise, s));
     let mut effects = Vec::new();
-    for (place, input) in inputs.map(|p| (p, true)).chain(outputs.map(|p| (p, false))) {
-        let Some(train) = sensitivity(setup, fit, &setup.train, &place) else { continue };
-        let Some(test) = sensitivity(setup, fit, &setup.test, &place) else { continue };
-        let name = place.to_string();
-        effects.extend(jitter(&train, &test, &name));
-        if input {
-            let index = system.inputs.iter().position(|i| i.name == place.key).unwrap_or(0);
-            let times = &setup.experiment.inputs[index].times;
-            let period = median(&mut times.windows(2).map(|w| w[1] - w[0]).collect::<Vec<_>>());
-            effects.extend(drops(&train, &test, period, &name));
+    for (o, output) in system.outputs.iter().enumerate() {
+        let place = Place::new(PlaceKind::Output, output.name.clone()).to_string();
+        let [Some(train), Some(test)] = passes.each_ref().map(|p| of_reading(setup, p, o)) else { continue };
+        effects.extend(judge("jitter", "spread", "s", (1e-6, f64::MAX), &train, &test, &place));
+    }
+    for (i, input) in system.inputs.iter().enumerate() {
+        let place = Place::new(PlaceKind::Input, input.name.clone()).to_string();
+        let times = &setup.experiment.inputs[i].times;
+        let period = median(&mut times.windows(2).map(|w| w[1] - w[0]).collect::<Vec<_>>());
+        if period <= 0.0 {
+            continue;
         }
+        let disturbed = |change: &dyn Fn(&Held, &mut ChaCha8Rng) -> Held, unit: f64| {
+            let both = [0, 1].map(|k| of_command(setup, fit, &noise, i, segments[k], &passes[k], change, unit));
+            let [train, test] = both;
+            Some((train?, test?))
+        };
+        let mut here = Vec::new();
+        if let Some((train, test)) = disturbed(&|held, random| late(held, 0.3 * period, random), 0.3 * period) {
+            here.extend(judge("jitter", "spread", "s", (1e-6, f64::MAX), &train, &test, &place));
+        }
+        // The variance grows with the rate, so that the size is for its root.
+        if let Some((train, test)) = disturbed(&lossy, LOST.sqrt()) {
+            here.extend(judge("drops", "rate", "", (1e-3, 0.9), &train, &test, &place));
+        }
+        let best = here.iter().map(|e| e.evidence).fold(f64::INFINITY, f64::min);
+        for effect in &mut here {
+            effect.significant &= effect.evidence <= best;
+        }
+        effects.extend(here);
     }
     effects
 }
 
-fn sensitivity(setup: &Setup, fit: &Fit, segments: &[Segment], place: &Place) -> Option<Sensitivity> {
-    let mut effects = fit.hypothesis.effects.clone();
-    effects.retain(|e| !(e.effect == Effect::Delay && e.place == *place));
-    effects.push(EffectAt { effect: Effect::Delay, place: place.clone() });
-    let hypothesis = library::hypothesis(setup, &effects);
-    let simulator = library::simulator(setup, &hypothesis, Vec::new());
-    let known = |name: &str, slot| {
-        let same = fit.hypothesis.fitted.iter().position(|f| f.slot == slot && f.name == name);
-        same.map(|k| fit.theta()[k])
-    };
-    let last = hypothesis.fitted.len().checked_sub(1)?;
-    // A delay that was fitted stays where it is; elsewhere a small one stands for none.
-    let fitted_delay = fit.hypothesis.fitted.iter().zip(fit.theta()).find(|(f, _)| f.name == "delay");
-    let theta: Vec<f64> = hypothesis
-        .fitted
-        .iter()
-        .enumerate()
-        .map(|(k, f)| {
-            let start = f.starts.first().copied().unwrap_or(f.null);
-            if k == last && effects.len() > fit.hypothesis.effects.len() {
-                0.01 * start
-            } else if k == last {
-                fitted_delay.map_or(start, |(_, value)| *value)
-            } else {
-                known(&f.name, f.slot).unwrap_or(f.null)
-            }
+fn pass(setup: &Setup, fit: &Fit, noise: &Noise, segments: &[Segment]) -> Pass {
+    let simulator = library::simulator(setup, &fit.hypothesis, fit.residuals.clone());
+    walk(&simulator, segments, &setup.noise, noise, fit.theta())
+}
+
+/// The fit's noise, with that of the readings free to exceed what is declared: times that scatter are noise to a filter
+/// that does not know them, and one that believes its readings too much follows them.
+fn open_noise(setup: &Setup, fit: &Fit) -> Noise {
+    let model = &setup.noise;
+    let limits: Vec<(f64, f64)> = model.limits.iter().map(|l| (l.0, l.1.max(l.0 + OPEN))).collect();
+    let mut noise = fit.innovation.noise.clone();
+    for _ in 0..2 {
+        let walked = pass(setup, fit, &noise, &setup.train);
+        noise = walked.refit_noise(&model.scale, &noise, &limits, model.process_floor);
+    }
+    noise
+}
+
+/// What a second of lateness changes in each innovation of one output: the predicted reading's rate.
+fn of_reading(setup: &Setup, pass: &Pass, output: usize) -> Option<Sensitivity> {
+    let (stamp, value) = setup.experiment.output(output);
+    let wrap = setup.experiment.wraps.get(output).copied().flatten();
+    let mut found = Sensitivity { innovations: Vec::new(), size: Vec::new() };
+    for k in (0..pass.readings()).filter(|k| pass.output[*k] == output) {
+        let at = stamp.partition_point(|s| *s < pass.stamp[k]);
+        let (before, after) = (at.saturating_sub(RATE), (at + RATE).min(stamp.len() - 1));
+        let span = stamp[after] - stamp[before];
+        if span > 0.0 {
+            let rate = wrapped(value[after] - value[before], wrap) / span;
+            found.innovations.push(pass.innovation[k] / pass.variance[k].sqrt());
+            found.size.push(rate.abs() / pass.variance[k].sqrt());
+        }
+    }
+    found.usable()
+}
+
+/// What one unit of a disturbance of a command adds to the innovations: root mean square over disturbed runs.
+fn of_command(
+    setup: &Setup,
+    fit: &Fit,
+    noise: &Noise,
+    input: usize,
+    segments: &[Segment],
+    plain: &Pass,
+    change: &dyn Fn(&Held, &mut ChaCha8Rng) -> Held,
+    unit: f64,
+) -> Option<Sensitivity> {
+    let mut squares = vec![0.0; plain.readings()];
+    for run in 0..RUNS {
+        let mut random = ChaCha8Rng::seed_from_u64(run);
+        let mut disturbed = setup.clone();
+        disturbed.experiment.inputs[input] = change(&setup.experiment.inputs[input], &mut random);
+        let other = pass(&disturbed, fit, noise, segments);
+        if other.stamp != plain.stamp {
+            return None;
+        }
+        for (k, square) in squares.iter_mut().enumerate() {
+            *square += (other.innovation[k] - plain.innovation[k]).powi(2) / plain.variance[k] / RUNS as f64;
+        }
+    }
+    let size = (0..squares.len())
+        .map(|k| {
+            let around = &squares[k.saturating_sub(SMOOTH)..(k + SMOOTH + 1).min(squares.len())];
+            (around.iter().sum::<f64>() / around.len() as f64).sqrt() / unit
         })
         .collect();
-    let pass = walk(&simulator, segments, &setup.noise, &fit.innovation.noise, &theta);
-    let p = hypothesis.fitted.len();
-    let by_delay: Vec<f64> = pass.whitened_by_parameter().iter().skip(last).step_by(p).copied().collect();
-    let innovations = pass.whitened();
-    let usable = innovations.len() > 50
-        && by_delay.len() == innovations.len()
-        && innovations.iter().chain(&by_delay).all(|v| v.is_finite())
-        && root_mean_square(&by_delay) > 0.0;
-    usable.then_some(Sensitivity { innovations, by_delay })
+    Sensitivity { innovations: plain.whitened(), size }.usable()
+}
+
+/// Commands that act up to √12 `spread` late or, on average, at their time.
+fn late(held: &Held, spread: f64, random: &mut ChaCha8Rng) -> Held {
+    let half = 3.0_f64.sqrt() * spread;
+    let mut out = held.clone();
+    let mut last = f64::NEG_INFINITY;
+    for time in &mut out.times {
+        // Messages do not overtake each other.
+        *time = (*time + random.random_range(-half..half)).max(last + 1e-9);
+        last = *time;
+    }
+    out
+}
+
+/// Commands of which some are lost: the one before stays.
+fn lossy(held: &Held, random: &mut ChaCha8Rng) -> Held {
+    let mut out = held.clone();
+    for k in 1..out.values.len() {
+        if random.random_bool(LOST) {
+            out.values[k] = out.values[k - 1];
+        }
+    }
+    out
 }
 
 impl Sensitivity {
+    fn usable(self) -> Option<Self> {
+        let finite = self.innovations.iter().chain(&self.size).all(|v| v.is_finite());
+        (self.innovations.len() > 50 && finite && root_mean_square(&self.size) > 0.0).then_some(self)
+    }
+
     fn is_white(&self) -> bool {
         let (mut across, mut along) = (0.0, 0.0);
         for pair in self.innovations.windows(2) {
             across += pair[0] * pair[1];
             along += pair[0] * pair[0];
         }
-        along > 0.0 && across.abs() < WHITE * along
+        // Errors of single readings may leave innovations of alternating sign behind, a wrong mean does not.
+        along > 0.0 && across < WHITE * along
     }
 
-    /// Log likelihood of innovations of variance `floor`² + (spread × sensitivity)².
-    fn log_jitter(&self, spread: f64, floor: f64) -> f64 {
-        let pairs = self.innovations.iter().zip(&self.by_delay);
+    /// Log likelihood of innovations of variance `floor`² + (scale × size)².
+    fn log(&self, scale: f64, floor: f64) -> f64 {
+        let pairs = self.innovations.iter().zip(&self.size);
         pairs
             .map(|(e, h)| {
-                let variance = floor * floor + (spread * h).powi(2);
+                let variance = floor * floor + (scale * h).powi(2);
                 -0.5 * (e * e / variance + variance.ln())
             })
             .sum()
     }
 
-    /// The same with the floor that makes it largest.
-    fn best_floor(&self, spread: f64) -> f64 {
-        let size = root_mean_square(&self.innovations);
-        let candidates = (0..60).map(|k| size * 1.05_f64.powi(-k));
-        candidates
-            .max_by(|a, b| self.log_jitter(spread, *a).total_cmp(&self.log_jitter(spread, *b)))
-            .unwrap_or(size)
+    /// The floor that makes it largest, by golden section on its logarithm.
+    fn floor(&self, scale: f64) -> f64 {
+        let size = root_mean_square(&self.innovations).max(1e-12);
+        let ratio = 0.5 * (5.0_f64.sqrt() - 1.0);
+        let (mut low, mut high) = ((0.1 * size).ln(), (1.1 * size).ln());
+        for _ in 0..14 {
+            let (a, b) = (high - ratio * (high - low), low + ratio * (high - low));
+            if self.log(scale, a.exp()) > self.log(scale, b.exp()) { high = b } else { low = a }
+        }
+        (0.5 * (low + high)).exp()
     }
 }
 
-fn jitter(train: &Sensitivity, test: &Sensitivity, place: &str) -> Option<ReadingEffect> {
-    let plain = train.best_floor(0.0);
-    let null = train.log_jitter(0.0, plain);
-    // The spread at which it would double the variance, give or take a factor of a hundred.
-    let natural = plain / root_mean_square(&train.by_delay);
-    let spread = peak(1e-2 * natural, 1e2 * natural, |spread| {
-        train.log_jitter(spread, train.best_floor(spread)) - null
-    });
-    let floor = train.best_floor(spread.value);
-    let count = test.innovations.len() as f64;
-    let constant = 0.5 * std::f64::consts::TAU.ln();
-    let without = test.log_jitter(0.0, plain) / count - constant;
-    let with = test.log_jitter(spread.value, floor) / count - constant;
-    let density = LogDensity { without, with, best: with.max(without) };
-    let value = Value { value: spread.value, std: spread.std, unit: "s".into() };
-    let notable = train.is_white() && spread.value > 0.2 * natural && with > without;
-    Some(found("jitter", place.into(), ("spread", value), -2.0 * spread.log_evidence, notable, density))
-}
-
-/// A command that is lost shifts the innovation by what a delay of one period would.
-fn drops(train: &Sensitivity, test: &Sensitivity, period: f64, place: &str) -> Option<ReadingEffect> {
-    if period <= 0.0 {
+fn judge(
+    name: &str,
+    parameter: &str,
+    unit: &str,
+    bounds: (f64, f64),
+    train: &Sensitivity,
+    test: &Sensitivity,
+    place: &str,
+) -> Option<ReadingEffect> {
+    // A rate is the square of its scale.
+    let scale = |value: f64| if name == "drops" { value.sqrt() } else { value };
+    let plain = train.floor(0.0);
+    let null = train.log(0.0, plain);
+    // The scale at which it would double the variance, and a factor of a hundred on both sides.
+    let natural = plain / root_mean_square(&train.size);
+    let natural_value = if name == "drops" { natural * natural } else { natural };
+    let (low, high) = ((1e-2 * natural_value).max(bounds.0), (1e2 * natural_value).min(bounds.1));
+    if low >= high {
         return None;
     }
-    let size = root_mean_square(&train.innovations);
-    let log = |of: &Sensitivity, rate: f64, floor: f64| -> f64 {
-        of.innovations
-            .iter()
-            .zip(&of.by_delay)
-            .map(|(e, h)| {
-                let (near, lost) = ((e / floor).powi(2), ((e - period * h) / floor).powi(2));
-                let most = (-0.5 * near).max(-0.5 * lost);
-                let sum = (1.0 - rate) * (-0.5 * near - most).exp() + rate * (-0.5 * lost - most).exp();
-                most + sum.ln() - floor.ln()
-            })
-            .sum()
-    };
-    let floors: Vec<f64> = (0..40).map(|k| size * 1.05_f64.powi(-k)).collect();
-    let best = |rate: f64| {
-        let floor = floors.iter().copied().max_by(|a, b| log(train, rate, *a).total_cmp(&log(train, rate, *b)));
-        floor.unwrap_or(size)
-    };
-    let plain = best(0.0);
-    let null = log(train, 0.0, plain);
-    let rate: Peak = peak(1e-3, 0.9, |rate| log(train, rate, best(rate)) - null);
-    let floor = best(rate.value);
+    let at = peak(low, high, |value| train.log(scale(value), train.floor(scale(value))) - null);
+    let floor = train.floor(scale(at.value));
     let count = test.innovations.len() as f64;
     let constant = 0.5 * std::f64::consts::TAU.ln();
-    let without = log(test, 0.0, plain) / count - constant;
-    let with = log(test, rate.value, floor) / count - constant;
+    let without = test.log(0.0, plain) / count - constant;
+    let with = test.log(scale(at.value), floor) / count - constant;
     let density = LogDensity { without, with, best: with.max(without) };
-    let value = Value { value: rate.value, std: rate.std, unit: String::new() };
-    let notable = train.is_white() && with > without;
-    Some(found("drops", place.into(), ("rate", value), -2.0 * rate.log_evidence, notable, density))
+    let value = Value { value: at.value, std: at.std, unit: unit.into() };
+    let notable = train.is_white() && scale(at.value) > NOTABLE * natural && with > without;
+    Some(found(name, place.into(), (parameter, value), -2.0 * at.log_evidence, notable, density))
 }

@@ -1,0 +1,248 @@
+//! Effects on how readings scatter, repeat and are spaced: each is found by itself, and none where there is none.
+
+mod support;
+
+use parallax_gap::experiment::{Experiment, Held, Sample};
+use parallax_gap::readings::{ReadingEffect, Suspicion, cleaned, examine, scatter};
+use parallax_gap::search;
+use parallax_gap::setup::Setup;
+use parallax_model::system::{Equations, System};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use support::{Hidden, SYSTEM, record};
+
+const NOISE: f64 = 0.0015;
+
+/// The pendulum, with its sensor's noise declared or not.
+fn equations(declared: bool) -> Equations {
+    let noise = if declared { "unit = \"rad\", noise = 0.0015, wrap" } else { "unit = \"rad\", wrap" };
+    let text = SYSTEM.replace("unit = \"rad\", wrap", noise);
+    System::parse(&text, "pendulum.toml").expect("valid").equations().expect("complete")
+}
+
+fn plain(seed: u64) -> Experiment {
+    record(Hidden::default(), seed, 30.0)
+}
+
+fn changed(seed: u64, mut change: impl FnMut(&mut ChaCha8Rng, &mut Vec<Sample>)) -> Experiment {
+    let mut experiment = plain(seed);
+    change(&mut ChaCha8Rng::seed_from_u64(100 + seed), &mut experiment.samples);
+    experiment
+}
+
+fn significant(effects: &[ReadingEffect]) -> Vec<String> {
+    effects.iter().filter(|e| e.significant).map(|e| format!("{}@{}", e.name, e.place)).collect()
+}
+
+/// The effect is the only one that is significant, and its parameter is the truth within what it states.
+fn is_alone(experiment: &Experiment, declared: bool, label: &str, parameter: &str, truth: f64) -> ReadingEffect {
+    let effects = examine(&equations(declared), experiment);
+    assert_eq!(significant(&effects), [label], "{effects:#?}");
+    let effect = effects.into_iter().find(|e| e.significant).expect("one is significant");
+    let found = &effect.parameters[parameter];
+    let allowed = 3.0 * found.std + 0.05 * truth;
+    assert!((found.value - truth).abs() < allowed, "{} ± {}, not {truth}", found.value, found.std);
+    assert!(effect.log_density.with > effect.log_density.without, "{effect:#?}");
+    effect
+}
+
+#[test]
+fn nothing_is_found_where_nothing_is() {
+    for seed in 1..6 {
+        for declared in [false, true] {
+            let effects = examine(&equations(declared), &plain(seed));
+            assert!(significant(&effects).is_empty(), "seed {seed}: {effects:#?}");
+        }
+    }
+}
+
+#[test]
+fn noise_beyond_the_declared_is_found() {
+    let experiment = changed(1, |random, samples| {
+        for sample in samples {
+            let z: f64 = StandardNormal.sample(random);
+            sample.value += 0.004 * z;
+        }
+    });
+    let truth = f64::hypot(0.004, NOISE);
+    let effect = is_alone(&experiment, true, "noise@output:angle", "std", truth);
+    assert!(effect.share.is_some_and(|share| share > 0.95), "{effect:#?}");
+    // Where none is declared there is nothing to exceed.
+    assert!(significant(&examine(&equations(false), &experiment)).is_empty());
+}
+
+#[test]
+fn a_lattice_of_values_is_found() {
+    let step = std::f64::consts::TAU / 1024.0;
+    let experiment = changed(2, |_, samples| {
+        for sample in samples {
+            sample.value = (sample.value / step).round() * step;
+        }
+    });
+    for declared in [false, true] {
+        let effect = is_alone(&experiment, declared, "quantization@output:angle", "step", step);
+        assert!(effect.share.is_some_and(|share| share > 0.5), "{effect:#?}");
+    }
+}
+
+#[test]
+fn outliers_are_found_and_left_out() {
+    let mut spoiled = Vec::new();
+    let experiment = changed(3, |random, samples| {
+        for (index, sample) in samples.iter_mut().enumerate() {
+            if random.random_bool(0.02) {
+                sample.value += if random.random_bool(0.5) { 0.3 } else { -0.2 };
+                spoiled.push(index);
+            }
+        }
+    });
+    for declared in [false, true] {
+        is_alone(&experiment, declared, "outliers@output:angle", "rate", 0.02);
+    }
+    let (kept, left_out) = cleaned(&equations(true), &experiment);
+    assert!(left_out.iter().all(|s| s.why == Suspicion::Outlier));
+    let caught = spoiled.iter().filter(|k| left_out.iter().any(|s| s.sample == **k)).count();
+    assert!(caught as f64 > 0.9 * spoiled.len() as f64, "{caught} of {}", spoiled.len());
+    assert!(left_out.len() < spoiled.len() + 5);
+    assert_eq!(kept.samples.len() + left_out.len(), experiment.samples.len());
+}
+
+#[test]
+fn stuck_readings_are_found_and_left_out() {
+    for step in [0.0, 0.001] {
+        let experiment = changed(4, |random, samples| {
+            if step > 0.0 {
+                for sample in samples.iter_mut() {
+                    sample.value = (sample.value / step).round() * step;
+                }
+            }
+            for k in 1..samples.len() {
+                if random.random_bool(0.06) {
+                    samples[k].value = samples[k - 1].value;
+                }
+            }
+        });
+        is_alone(&experiment, true, "stuck@output:angle", "rate", 0.06);
+        let (_, left_out) = cleaned(&equations(true), &experiment);
+        assert!(left_out.iter().all(|s| s.why == Suspicion::Stuck));
+        // In slow motion a repeat on a lattice proves nothing, and harms nothing.
+        let least = if step > 0.0 { 60 } else { 150 };
+        assert!(left_out.len() > least, "{}", left_out.len());
+    }
+}
+
+#[test]
+fn missing_readings_are_found() {
+    let experiment = changed(5, |random, samples| samples.retain(|_| !random.random_bool(0.04)));
+    is_alone(&experiment, true, "drops@output:angle", "rate", 0.04);
+}
+
+#[test]
+fn an_experiment_without_suspicion_is_left_as_it_is() {
+    let experiment = plain(6);
+    let (kept, left_out) = cleaned(&equations(true), &experiment);
+    assert!(left_out.is_empty());
+    assert_eq!(kept.samples, experiment.samples);
+}
+
+fn scattered(experiment: Experiment) -> Vec<ReadingEffect> {
+    let setup = Setup::new(equations(true), experiment, None);
+    let null = search::null(&setup);
+    scatter(&setup, &null)
+}
+
+/// Readings taken up to `most` seconds after their stamp, or at it.
+fn jittered(seed: u64, most: f64) -> Experiment {
+    changed(seed, |random, samples| {
+        let before = samples.clone();
+        for k in 0..samples.len() - 1 {
+            let part = random.random_range(0.0..most) / 0.01;
+            samples[k].value += part * (before[k + 1].value - before[k].value);
+        }
+    })
+}
+
+#[test]
+fn times_of_readings_that_scatter_are_found() {
+    let effects = scattered(jittered(7, 0.008));
+    let found = effects.iter().find(|e| e.name == "jitter" && e.place == "output:angle").expect("it is judged");
+    assert!(found.significant, "{found:#?}");
+    // The standard deviation of an even spread.
+    let truth = 0.008 / 12.0_f64.sqrt();
+    let spread = &found.parameters["spread"];
+    assert!((spread.value / truth - 1.0).abs() < 0.3, "{spread:?}, not {truth}");
+    assert!(found.log_density.with > found.log_density.without);
+}
+
+/// A first-order plant that is told a new level every tenth of a second.
+const FOLLOWER: &str = r#"
+format = 1
+name = "follower"
+[parameters]
+T = { value = 0.05, unit = "s", calibrate = [0.02, 0.1], std = 0.005 }
+[inputs]
+u = { signal = "level" }
+[state]
+y = { derivative = "(u - y)/T", initial = "reading" }
+[outputs]
+reading = { value = "y", unit = "m", noise = 0.002 }
+"#;
+
+/// The follower's log; commands act late by up to `most` seconds, and a share of them is `lost`.
+fn followed(seed: u64, most: f64, lost: f64) -> Vec<ReadingEffect> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let (mut level, mut acted, mut samples) = (Held::default(), Held::default(), Vec::new());
+    for k in 0..400 {
+        let value = random.random_range(-1.0..1.0);
+        level.times.push(0.1 * f64::from(k));
+        level.values.push(value);
+        if !random.random_bool(lost) {
+            acted.times.push(0.1 * f64::from(k) + most * random.random_range(0.0..1.0));
+            acted.values.push(value);
+        }
+    }
+    let (mut y, mut at) = (0.0, 0);
+    for k in 0..40_000 {
+        let t = 1e-3 * f64::from(k);
+        while at + 1 < acted.times.len() && acted.times[at + 1] <= t {
+            at += 1;
+        }
+        if k % 10 == 0 {
+            let z: f64 = StandardNormal.sample(&mut random);
+            samples.push(Sample { stamp: t, output: 0, value: y + 0.002 * z });
+        }
+        y += (acted.values[at] - y) * (1.0 - (-1e-3_f64 / 0.05).exp());
+    }
+    let experiment = Experiment {
+        inputs: vec![level],
+        input_units: vec![String::new()],
+        samples,
+        wraps: vec![None],
+        ..Experiment::default()
+    };
+    let system = System::parse(FOLLOWER, "follower.toml").expect("valid");
+    let setup = Setup::new(system.equations().expect("complete"), experiment, None);
+    scatter(&setup, &search::null(&setup))
+}
+
+#[test]
+fn commands_that_scatter_or_are_lost_are_found() {
+    for (most, lost) in [(0.02, 0.0), (0.0, 0.15)] {
+        let effects = followed(3, most, lost);
+        let at_input = effects.iter().any(|e| e.place == "input:u" && e.significant);
+        assert!(at_input, "{most} {lost}: {effects:#?}");
+    }
+    // The world of this test takes steps of a millisecond, within which commands already act.
+    let effects = followed(4, 0.0, 0.0);
+    assert!(significant(&effects).is_empty(), "{effects:#?}");
+}
+
+#[test]
+fn even_times_do_not_scatter() {
+    for seed in 8..10 {
+        let effects = scattered(plain(seed));
+        assert!(!effects.is_empty());
+        assert!(significant(&effects).is_empty(), "seed {seed}: {effects:#?}");
+    }
+}
