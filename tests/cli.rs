@@ -255,7 +255,7 @@ fn systems_that_do_not_fit() {
 
     let folder = with_log();
     fail(&folder, &["diagnose", "log"], 2, &["--system, such as log/system.toml"]);
-    fail(&folder, &["diagnose", "log", "log", "--system", "log"], 2, &["one at a time"]);
+    fail(&folder, &["diagnose", "log", "log", "--system", "log"], 2, &["Record longer"]);
     fail(&folder, &["diagnose", "log", "--system", "gone.toml"], 2, &["gone.toml does not exist"]);
     fail(&folder, &["info", "gone.toml"], 2, &["gone.toml does not exist"]);
 }

@@ -105,9 +105,10 @@ fn what_a_log_leaves_open_the_next_one_decides() {
     assert!(file.duration() < 10.0 && file.duration() > 9.5);
 
     record(folder.path(), "second", 10.0, |t| file.at("voltage", t + 1e-9).unwrap());
-    ends(&folder, 0, &[&DIAGNOSE[..], &["second", "--out", "then"]].concat());
+    ends(&folder, 0, &[&DIAGNOSE[..], &["sine", "second", "--out", "then"]].concat());
     let then = report(&folder, "then");
     assert_eq!(then["which"][0]["class"], serde_json::json!(["delay@input:u"]), "{}", then["which"]);
+    assert_eq!(then["made_from"]["recordings"].as_array().unwrap().len(), 2);
     // Then there is nothing left to ask.
     let (said, _) = ends(&folder, 1, &["experiment", "then"]);
     assert!(said.contains("nothing to tell apart"), "{said}");

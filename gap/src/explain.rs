@@ -110,7 +110,9 @@ pub fn explain(evidence: &Evidence<'_>, patterns: &[Pattern]) -> Vec<Explanation
     for (index, answer) in posterior.answers.iter().enumerate() {
         let members = [&answer.fit].into_iter().chain(&answer.alike);
         for (member, fit) in members.enumerate() {
-            if fit.hypothesis.effects.iter().any(fits) {
+            // Of the sums that were tried, only those that are the answer say something of an effect.
+            let single = fit.hypothesis.effects.len() == 1;
+            if (single || index == 0) && fit.hypothesis.effects.iter().any(fits) {
                 let fate = match (index, member) {
                     (0, 0) => Fate::Leads,
                     (0, _) => Fate::Alike,

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use clap::Args;
-use parallax_gap::bind::bind;
-use parallax_gap::diagnosis::{Diagnosis, Options, diagnose};
+use parallax_gap::bind::bind_all;
+use parallax_gap::diagnosis::{Diagnosis, Options, diagnose_all};
 use parallax_gap::experiment::Experiment;
 use parallax_gap::options::{Pattern, Prior};
 use parallax_gap::report::{MadeFrom, Report, html, svg, text};
@@ -19,7 +19,7 @@ use super::output;
 
 #[derive(Args)]
 pub(crate) struct Arguments {
-    /// A recording (.mcap), or a folder with recording.toml.
+    /// Recordings (.mcap), or folders with recording.toml, all of one machine: parameters are shared, states are not.
     #[arg(required = true)]
     recordings: Vec<PathBuf>,
     /// What the simulator believes: a system.toml, in place of the one attached to the recording.
@@ -52,16 +52,10 @@ pub(crate) struct Arguments {
 }
 
 pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
-    let [path] = &arguments.recordings[..] else {
-        return Err(Failure::input(anyhow!(
-            "{} recordings were given; this version diagnoses one at a time",
-            arguments.recordings.len()
-        )));
-    };
     if arguments.horizon.is_some_and(|horizon| !(horizon.is_finite() && horizon > 0.0)) {
         return Err(Failure::input(anyhow!("--horizon must be above zero and finite")));
     }
-    let loaded = Loaded::read(path, arguments.system.as_deref())?;
+    let loaded = Loaded::read(&arguments.recordings, arguments.system.as_deref())?;
     let options = Options {
         horizon: arguments.horizon,
         seed: arguments.seed,
@@ -80,37 +74,54 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     Ok(Outcome::Done)
 }
 
-/// A log and the system that is believed of it.
+/// Logs of one machine and the system that is believed of it.
 pub(crate) struct Loaded {
-    log: Log,
+    logs: Vec<Log>,
     /// The text that a corrected system is made from.
     text: String,
     system: System,
     /// The files, as whole paths.
-    files: (PathBuf, Option<PathBuf>),
+    recordings: Vec<PathBuf>,
+    system_file: Option<PathBuf>,
 }
 
 impl Loaded {
-    /// Reads a recording and its system: the one at `system`, or the one attached to the recording.
-    pub(crate) fn read(path: &Path, system: Option<&Path>) -> Result<Self, Failure> {
-        let stated = system;
-        let (log, attached) = if path.is_dir() {
-            (import::folder(path).input()?, None)
-        } else {
-            let recording = Recording::read(path).input()?;
-            (recording.log(), recording.graph.plant.map(|plant| plant.system))
-        };
-        for note in &log.notes {
-            eprintln!("note: {note}");
+    /// Reads recordings and their system: the one at `system`, or the one attached to the recordings.
+    pub(crate) fn read(paths: &[PathBuf], system: Option<&Path>) -> Result<Self, Failure> {
+        let mut logs = Vec::new();
+        let mut attached: Option<(&Path, String)> = None;
+        for path in paths {
+            let (log, own) = if path.is_dir() {
+                (import::folder(path).input()?, None)
+            } else {
+                let recording = Recording::read(path).input()?;
+                (recording.log(), recording.graph.plant.map(|plant| plant.system))
+            };
+            for note in &log.notes {
+                eprintln!("note: {note}");
+            }
+            logs.push(log);
+            match (own, &attached) {
+                (Some(own), Some((other, text))) if own != *text && system.is_none() => {
+                    return Err(Failure::input(anyhow!(
+                        "{} and {} have different systems attached; say with --system which one is believed",
+                        other.display(),
+                        path.display()
+                    )));
+                }
+                (Some(own), None) => attached = Some((path, own)),
+                _ => {}
+            }
         }
-        let (text, system) = match (system, attached) {
+        let (text, parsed) = match (system, attached) {
             (Some(system), _) => read_system_text(system).input()?,
-            (None, Some(text)) => {
+            (None, Some((path, text))) => {
                 let system =
                     System::parse(&text, &format!("{} (attached system)", path.display())).input()?;
                 (text, system)
             }
             (None, None) => {
+                let path = paths.first().map_or(Path::new("."), PathBuf::as_path);
                 return Err(Failure::input(anyhow!(
                     "{} does not say what its simulator believes; give a system.toml with --system{}",
                     path.display(),
@@ -118,22 +129,24 @@ impl Loaded {
                 )));
             }
         };
-        let recorded: Vec<(&str, &str)> =
-            log.signals.iter().map(|signal| (signal.name.as_str(), signal.unit.as_str())).collect();
-        system.check_signals(&recorded).input()?;
+        for log in &logs {
+            let recorded: Vec<(&str, &str)> =
+                log.signals.iter().map(|signal| (signal.name.as_str(), signal.unit.as_str())).collect();
+            parsed.check_signals(&recorded).input()?;
+        }
         let whole = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
-        let files = (whole(path), stated.map(whole));
-        Ok(Self { log, text, system, files })
+        let recordings = paths.iter().map(|path| whole(path)).collect();
+        Ok(Self { logs, text, system: parsed, recordings, system_file: system.map(whole) })
     }
 
-    /// The recording's title.
-    pub(crate) fn title(&self) -> &str {
-        &self.log.title
+    /// The recordings' titles.
+    pub(crate) fn title(&self) -> String {
+        self.logs.iter().map(|log| log.title.as_str()).collect::<Vec<_>>().join(", ")
     }
 
-    /// The equations and the recording in the system's order.
+    /// The equations and the recordings in the system's order.
     pub(crate) fn bound(&self) -> Result<(Equations, Experiment), Failure> {
-        bind(&self.system, &self.log).input()
+        bind_all(&self.system, &self.logs).input()
     }
 
     /// Diagnoses, and leaves report.json, report.html, report.svg and system.corrected.toml in `out`.
@@ -146,11 +159,11 @@ impl Loaded {
             bar.set_position((done * 1000.0) as u64);
             bar.set_message(format!("diagnosing: {what}"));
         };
-        let mut diagnosis = diagnose(&self.system, &self.log, options, &watch).input()?;
+        let mut diagnosis = diagnose_all(&self.system, &self.logs, options, &watch).input()?;
         bar.finish_and_clear();
         diagnosis.report.made_from = Some(MadeFrom {
-            recordings: vec![self.files.0.clone()],
-            system: self.files.1.clone(),
+            recordings: self.recordings.clone(),
+            system: self.system_file.clone(),
             horizon: options.horizon,
             seed: options.seed,
         });

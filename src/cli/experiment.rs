@@ -116,10 +116,10 @@ fn alike(report: &Report) -> Vec<String> {
 }
 
 fn designed(arguments: &Arguments, made_from: &MadeFrom, effects: &[String]) -> Result<Design, Failure> {
-    let recording = made_from.recordings.first().ok_or_else(|| {
-        Failure::input(anyhow!("the report names no recording; run `parallax diagnose` again"))
-    })?;
-    let loaded = Loaded::read(recording, made_from.system.as_deref())?;
+    if made_from.recordings.is_empty() {
+        return Err(Failure::input(anyhow!("the report names no recording; run `parallax diagnose` again")));
+    }
+    let loaded = Loaded::read(&made_from.recordings, made_from.system.as_deref())?;
     let (equations, experiment) = loaded.bound()?;
     let wishes = Wishes {
         duration: arguments.duration.map(to_seconds),
@@ -128,7 +128,7 @@ fn designed(arguments: &Arguments, made_from: &MadeFrom, effects: &[String]) -> 
     };
     let options = Options { horizon: made_from.horizon, seed: made_from.seed, ..Options::default() };
     let bar = output::progress("designing an experiment", 0);
-    let design = propose(equations, experiment, loaded.title(), effects, &options, &wishes).input()?;
+    let design = propose(equations, experiment, &loaded.title(), effects, &options, &wishes).input()?;
     bar.finish_and_clear();
     Ok(design)
 }

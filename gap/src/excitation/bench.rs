@@ -5,7 +5,7 @@ use parallax_model::system::Suggestion;
 use super::inputs::{Frame, Shape, Span};
 use super::sensors::Sensor;
 use super::trial::{Trial, calm};
-use super::{Command, Design, DesignError, Wishes};
+use super::{Command, Design, DesignError, Wishes, short};
 use crate::experiment::Held;
 use crate::filter::Noise;
 use crate::search::Fit;
@@ -322,16 +322,6 @@ impl<'a> Bench<'a> {
             reach: reach.collect(),
         }
     }
-}
-
-/// Three digits.
-fn short(value: f64) -> String {
-    if value == 0.0 {
-        return "0".into();
-    }
-    let digits = (2 - value.abs().log10().floor() as i32).clamp(0, 6) as usize;
-    let text = format!("{value:.digits$}");
-    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
 }
 
 /// Whether every limit is on something.

@@ -107,7 +107,7 @@ impl Shape {
     /// What it is, for a reader.
     #[must_use]
     pub fn describe(self, frame: &Frame) -> String {
-        let hertz = |f: f64| format!("{f:.2} Hz", f = (100.0 * f).round() / 100.0);
+        let hertz = |f: f64| format!("{} Hz", super::short(f));
         let low = lowest(frame);
         match self {
             Shape::Staircase => "a staircase through the range, held at each level".into(),

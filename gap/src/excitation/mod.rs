@@ -207,7 +207,7 @@ impl fmt::Display for Design {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let percent = (100.0 * self.probability()).min(99.9);
         let expected =
-            format!("right in {percent:.3} % of cases, log evidence {:.1} expected", self.log_evidence());
+            format!("right in {percent:.1} % of cases, log evidence {:.1} expected", self.log_evidence());
         match &self.sensor {
             None if self.separates() => write!(f, "{} ({expected})", self.description),
             None => write!(
@@ -268,4 +268,14 @@ pub fn design(
         Some((sensor, tried)) => bench.conclude(tried, Some(sensor)),
         None => bench.conclude(best, None),
     })
+}
+
+/// Three digits.
+fn short(value: f64) -> String {
+    if value == 0.0 {
+        return "0".into();
+    }
+    let digits = (2 - value.abs().log10().floor() as i32).clamp(0, 6) as usize;
+    let text = format!("{value:.digits$}");
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
 }

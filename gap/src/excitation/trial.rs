@@ -56,7 +56,15 @@ impl Trial {
             let usual = median(&mut supply.voltage.values.clone());
             Some(SupplyVoltage { voltage: constant(usual), nominal: supply.nominal })
         });
-        setup.experiment = Experiment { inputs, supplies: supplies.collect(), samples, ..old.clone() };
+        setup.experiment = Experiment {
+            inputs,
+            supplies: supplies.collect(),
+            samples,
+            given: old.given.clone(),
+            input_units: old.input_units.clone(),
+            wraps: old.wraps.clone(),
+            ..Experiment::default()
+        };
         let std = setup.train.first().map_or_else(|| vec![1.0; state.len()], |s| s.std.clone());
         Trial { setup, state: state.to_vec(), std, duration }
     }

@@ -13,6 +13,7 @@ pub(super) struct Entry {
 const INPUT: &[PlaceKind] = &[PlaceKind::Input];
 const OUTPUT: &[PlaceKind] = &[PlaceKind::Output];
 const JOINT: &[PlaceKind] = &[PlaceKind::Joint];
+const OWN: &[PlaceKind] = &[PlaceKind::Joint, PlaceKind::Input, PlaceKind::Output];
 const ENDS: &[PlaceKind] = &[PlaceKind::Input, PlaceKind::Output];
 
 const INF: f64 = f64::INFINITY;
@@ -50,6 +51,7 @@ const LEVELS: &[EffectParameter] =
 pub(super) const fn of(effect: Effect) -> Entry {
     use Quantity as Q;
     match effect {
+        Effect::Own(own) => entry(own.name(), "does what the file says", OWN, &[]),
         // Timing.
         Effect::Delay => entry("delay", "acts late", ENDS, const { &[positive("delay", Q::Time)] }),
         Effect::Jitter => entry("jitter", "acts at times that scatter", ENDS, const { &[positive("spread", Q::Time)] }),

@@ -19,11 +19,13 @@ mod actuation;
 mod body;
 mod catalogue;
 mod friction;
+mod own;
 mod place;
 mod sensing;
 
 pub use actuation::{lag_second_order_step, lag_step, play_step, rate_limit_step, sag};
 pub use friction::JointMotion;
+pub use own::Own;
 pub use place::{Place, PlaceError, PlaceKind};
 
 use crate::Scalar;
@@ -121,6 +123,8 @@ pub enum Effect {
     Outliers,
     /// Readings that repeat an earlier one at times.
     Stuck,
+    /// An effect that a system's file adds: its equation and its parameters are the system's.
+    Own(Own),
 }
 
 /// What a parameter of an effect measures: it decides its unit and its natural size on given data.

@@ -41,8 +41,20 @@ impl System {
 
     /// Where the document states a parameter's value.
     fn value_of<'a>(&self, document: &'a mut DocumentMut, name: &str) -> Result<&'a mut Value, SystemError> {
-        document
-            .get_mut("parameters")
+        // An effect that the file adds has parameters of its own.
+        let effect = self.own.iter().find(|own| {
+            own.parameters.iter().any(|parameter| self.parameters[parameter.index].name == *name)
+        });
+        let section = match effect {
+            Some(own) => document
+                .get_mut("effects")
+                .and_then(Item::as_table_like_mut)
+                .and_then(|effects| effects.get_mut(own.effect.name()))
+                .and_then(Item::as_table_like_mut)
+                .and_then(|effect| effect.get_mut("parameters")),
+            None => document.get_mut("parameters"),
+        };
+        section
             .and_then(Item::as_table_like_mut)
             .and_then(|parameters| parameters.get_mut(name))
             .and_then(Item::as_table_like_mut)

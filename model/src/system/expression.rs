@@ -139,6 +139,12 @@ impl Expression {
         Ok(expression)
     }
 
+    /// The same expression, shown as another one is.
+    pub(super) fn shown_as(mut self, other: &Self) -> Self {
+        self.text.clone_from(&other.text);
+        self
+    }
+
     /// The expression as the file states it.
     pub fn text(&self) -> &str {
         &self.text

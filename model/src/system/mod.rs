@@ -49,6 +49,7 @@ mod error;
 mod expression;
 mod lexer;
 mod order;
+mod own;
 mod parts;
 mod program;
 mod read;
@@ -58,6 +59,7 @@ mod table;
 pub use equations::{Equations, JointValues, OwnEffect, Point, Values};
 pub use error::{Excerpt, Location, Suggestion, SystemError, nearest};
 pub use expression::Expression;
+pub use own::{OwnEffect as StatedEffect, OwnParameter};
 pub use parts::{EffectEntry, Entry, Initial, Input, Joint, Let, Output, Parameter, State, Supply};
 
 /// A parsed `system.toml`. Its expressions may use names that only a recording's constants define.
@@ -81,6 +83,8 @@ pub struct System {
     pub joints: Vec<Joint>,
     /// In the order of the file.
     pub effects: Vec<EffectEntry>,
+    /// Effects that the file adds to the library, in its order.
+    pub own: Vec<StatedEffect>,
     /// Names of constants that nothing uses: what a misspelt name may have meant.
     unused: Vec<String>,
 }

@@ -9,11 +9,11 @@ use super::expression::{Expression, is_reserved};
 use super::lexer::{is_name_part, is_name_start};
 use super::parts::{EffectEntry, Initial, Input, Joint, Let, Output, Parameter, State, Supply};
 use super::table::{Field, Source, Table};
-use super::{System, order};
+use super::{System, order, own};
 use crate::effect::{Effect, Place, PlaceKind};
 
-const SECTIONS: [&str; 9] =
-    ["format", "name", "parameters", "inputs", "let", "state", "outputs", "joints", "effect"];
+const SECTIONS: [&str; 10] =
+    ["format", "name", "parameters", "inputs", "let", "state", "outputs", "joints", "effect", "effects"];
 
 /// The version of the format that this reads.
 const FORMAT: i64 = 1;
@@ -76,9 +76,23 @@ pub(super) fn system(text: &str, file: &str) -> Result<System, SystemError> {
         outputs,
         joints: Vec::new(),
         effects: Vec::new(),
+        own: Vec::new(),
         unused: Vec::new(),
     };
     system.joints = section(&root, "joints", "joint", |name, table| joint(name, &table.table()?, &system))?;
+    let own = section(&root, "effects", "effect", |name, field| {
+        own::read(name, &field.table()?, &mut system, |name, field| names.take(name, "a parameter", field))
+    })?;
+    if !own.is_empty() {
+        for effect in &own {
+            own::add(&mut system, effect)?;
+        }
+        system.own = own;
+        system.lets = order::by_need(std::mem::take(&mut system.lets), file)?;
+        // The order of the named expressions may be another one now.
+        system.joints =
+            section(&root, "joints", "joint", |name, table| joint(name, &table.table()?, &system))?;
+    }
     if let Some(field) = root.field("effect") {
         system.effects =
             field.tables()?.iter().map(|table| effect(table, &system)).collect::<Result<_, _>>()?;
