@@ -4,41 +4,38 @@ use nalgebra::DVector;
 use rayon::prelude::*;
 
 use crate::hypothesis::EffectAt;
-use crate::judge::Judge;
+use crate::judge::{Judge, WORTH};
 use crate::library;
-use crate::search::{Fit, fit_all, fit_hypothesis};
+use crate::search::{Fit, Width, fit_all, fit_hypothesis};
 use crate::setup::Setup;
 use crate::signature::{self, Nuisance};
 
-/// Gain in −2 log evidence that a further effect must bring.
-pub const WORTH: f64 = 10.0;
-
 /// Single effects from which combinations begin.
 const BASES: usize = 2;
+
+/// Difference of −2 log evidence up to which another single effect is a beginning as well.
+const RIVAL: f64 = 50.0;
 
 /// Effects that are fitted beside a base, the highest in a score test.
 const ADDED: usize = 8;
 
 /// Most effects at once.
-const MOST: usize = 3;
+const MOST: usize = 6;
 
 /// Combinations that are worth their further effects; `fits` are single effects, the best first.
 #[must_use]
-pub fn combinations(
-    setup: &Setup,
-    null: &Fit,
-    fits: &[Fit],
-    judge: &Judge,
-    done: &(dyn Fn(&str) + Sync),
-) -> Vec<Fit> {
+pub fn combinations(setup: &Setup, null: &Fit, fits: &[Fit], judge: &Judge) -> Vec<Fit> {
     let pool: Vec<EffectAt> = fits.iter().filter_map(|f| f.hypothesis.effects.first().cloned()).collect();
-    let worth = |fit: &Fit, base: &Fit| judge.cost(fit) < judge.cost(base) - WORTH;
     let mut found: Vec<Fit> = Vec::new();
-    for base in fits.iter().take(BASES).filter(|base| worth(base, null)) {
+    for base in fits
+        .iter()
+        .take(BASES)
+        .filter(|base| judge.is_worth(base, null) && judge.cost(base) < judge.cost(&fits[0]) + RIVAL)
+    {
         let mut base = base.clone();
         while base.hypothesis.effects.len() < MOST {
-            let Some(next) = extend(setup, &base, &pool, judge, done) else { break };
-            if !worth(&next, &base) {
+            let Some(next) = extend(setup, &base, &pool, judge) else { break };
+            if !judge.is_worth(&next, &base) {
                 break;
             }
             base = next;
@@ -56,13 +53,7 @@ pub fn combinations(
 }
 
 /// The best fit with one effect more, if any effect promises something.
-fn extend(
-    setup: &Setup,
-    base: &Fit,
-    pool: &[EffectAt],
-    judge: &Judge,
-    done: &(dyn Fn(&str) + Sync),
-) -> Option<Fit> {
+fn extend(setup: &Setup, base: &Fit, pool: &[EffectAt], judge: &Judge) -> Option<Fit> {
     let nuisance = Nuisance::new(base);
     let others: Vec<&EffectAt> = pool.iter().filter(|at| !base.hypothesis.effects.contains(at)).collect();
     let mut scores: Vec<(f64, &EffectAt)> =
@@ -81,7 +72,7 @@ fn extend(
     if hypotheses.is_empty() {
         return None;
     }
-    let fits = fit_all(setup, base, hypotheses, done);
+    let fits = fit_all(setup, base, hypotheses, Width::FURTHER, &|_| ());
     let least = fits.iter().map(|fit| judge.cost(fit)).fold(f64::INFINITY, f64::min);
     // Of those that the evidence does not tell apart, the simplest.
     let even = fits.into_iter().filter(|fit| judge.cost(fit) < least + WORTH);
@@ -113,7 +104,7 @@ fn prune(setup: &Setup, null: &Fit, mut fit: Fit, fits: &[Fit], judge: &Judge) -
             }
         });
         let best = without.min_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
-        match best.filter(|best| judge.cost(best) - judge.cost(&fit) < WORTH) {
+        match best.filter(|best| !judge.is_worth(&fit, best)) {
             Some(simpler) => fit = simpler,
             None => break,
         }

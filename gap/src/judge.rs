@@ -2,6 +2,12 @@
 
 use crate::search::{Fit, INEXACT};
 
+/// Gain in −2 log evidence that a further effect must bring.
+pub const WORTH: f64 = 10.0;
+
+/// Share of an output's squared error that a further effect must close where no hypothesis reaches the noise.
+const CLOSED: f64 = 0.4;
+
 /// The judge of all hypotheses on one log.
 ///
 /// Where some hypothesis reaches the sensors' noise, both losses are likelihoods of the data, and their mean decides:
@@ -30,6 +36,21 @@ impl Judge {
             exact: best.shooting_error <= INEXACT,
             null: (null.shooting_cost, null.innovation.evidence_cost, null.innovation.pass.states()),
         }
+    }
+
+    /// Whether `fit`, which has more effects than `base`, is worth them.
+    ///
+    /// Where no hypothesis reaches the sensors' noise, whatever is flexible gains by either loss: a further effect must
+    /// gain by both, and take a good part of what is left in some output.
+    #[must_use]
+    pub fn is_worth(&self, fit: &Fit, base: &Fit) -> bool {
+        if self.cost(fit) >= self.cost(base) - WORTH {
+            return false;
+        }
+        let closes = |(after, before): (&f64, &f64)| *after < (1.0 - CLOSED) * before;
+        self.exact
+            || (fit.innovation.evidence_cost < base.innovation.evidence_cost
+                && fit.output_errors.iter().zip(&base.output_errors).any(closes))
     }
 
     /// −2 log evidence, up to a constant.

@@ -3,7 +3,7 @@
 use nalgebra::DVector;
 
 use crate::combine;
-use crate::hypothesis::EffectAt;
+use crate::hypothesis::{EffectAt, Slot};
 use crate::judge::Judge;
 use crate::options::Options;
 use crate::search::Fit;
@@ -27,6 +27,9 @@ const EVEN: f64 = 1.0;
 
 /// Difference of −2 log evidence up to which the simpler of two effects with one signature is named.
 const EQUAL: f64 = 10.0;
+
+/// Standard deviations from its null at which a parameter counts as found.
+const SIGNIFICANT: f64 = 3.0;
 
 /// Difference of −2 log evidence from which two effects of like signature are told apart all the same.
 const DECISIVE: f64 = 20.0;
@@ -94,7 +97,7 @@ pub fn weigh(
     fits.sort_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
     let forms = best_forms(&mut fits);
     let (mut forms, count) = (forms, fits.len());
-    let combined = combine::combinations(setup, null, &fits, &judge, done);
+    let combined = combine::combinations(setup, null, &fits, &judge);
     forms.resize(count + combined.len(), 1.0);
     fits.extend(combined);
     let judge = Judge::new(null, &fits);
@@ -219,9 +222,17 @@ fn lead_with_the_simplest(class: &mut [usize], fits: &[Fit], judge: &Judge) {
         return;
     };
     let size = |k: usize| fits[k].hypothesis.fitted.len();
+    // A parameter that does not differ from its null speaks for a form without it.
+    let spare = {
+        let (fit, std) = (&fits[best], fits[best].std());
+        let fitted = fit.hypothesis.fitted.iter().zip(fit.estimate()).zip(std);
+        fitted
+            .filter(|((f, _), _)| matches!(f.slot, Slot::Effect { .. }))
+            .any(|((f, value), std)| (value - f.null).abs() < SIGNIFICANT * std)
+    };
     let eligible = |k: usize| {
         let worse = judge.cost(&fits[k]) - judge.cost(&fits[best]);
-        worse < EVEN || (size(k) < size(best) && worse < EQUAL)
+        worse < EVEN || (size(k) < size(best) && (worse < EQUAL || spare))
     };
     let named = (0..class.len())
         .filter(|&at| eligible(class[at]))

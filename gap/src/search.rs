@@ -25,6 +25,8 @@ pub struct Fit {
     pub shooting_cost: f64,
     /// Mean squared residual of the short windows, in noise units squared.
     pub shooting_error: f64,
+    /// The same for each output, in its unit squared.
+    pub output_errors: Vec<f64>,
     /// Standard deviations of the short windows' estimate, robust to residuals that are correlated within a window.
     shooting_std: Vec<f64>,
     /// How many independent readings one reading of the windows is worth, at most 1.
@@ -108,6 +110,7 @@ fn assemble(
         innovation,
         shooting_cost: shot.cost,
         shooting_error: shot.error(setup),
+        output_errors: shot.output_errors(),
         shooting_std: shot.std(),
         independence: shot.independence(),
         shooting: shot.minimum,
@@ -182,11 +185,23 @@ const SCREEN_WINDOWS: usize = 48;
 /// Starts of an effect that are followed to the end.
 const FULL_STARTS: usize = 2;
 
-/// Hypotheses that are fitted to convergence by short windows, beside the best one of each effect and of each place.
-const SHORTLIST: usize = 20;
+/// How many hypotheses are followed how far.
+#[derive(Clone, Copy, Debug)]
+pub struct Width {
+    /// Hypotheses that are fitted to convergence by short windows.
+    pub shortlist: usize,
+    /// Of these, those that are fitted to convergence by innovation likelihood.
+    pub finalists: usize,
+    /// Whether the best of each effect and place is among the first, and the best of each kind of place among the second.
+    pub diverse: bool,
+}
 
-/// Hypotheses of these that are fitted to convergence by innovation likelihood, beside the best one of each kind of place.
-const FINALISTS: usize = 12;
+impl Width {
+    /// For all single effects.
+    pub const SINGLES: Width = Width { shortlist: 20, finalists: 12, diverse: true };
+    /// For an effect beside others.
+    pub const FURTHER: Width = Width { shortlist: 3, finalists: 2, diverse: false };
+}
 
 /// A hypothesis with its starts, the most promising first.
 #[derive(Clone, Debug)]
@@ -250,15 +265,16 @@ pub fn fit_all(
     setup: &Setup,
     base: &Fit,
     hypotheses: Vec<Hypothesis>,
+    width: Width,
     done: &(dyn Fn(&str) + Sync),
 ) -> Vec<Fit> {
     let screened: Vec<Screened> =
         hypotheses.into_par_iter().map(|hypothesis| screen(setup, base, hypothesis)).collect();
     let order = by_cost(&screened.iter().map(|s| s.cost).collect::<Vec<_>>());
     let last = |index: usize| screened[index].hypothesis.effects.last();
-    let promising = shortlist(&order, SHORTLIST, |index| {
-        let at = last(index);
-        vec![at.map(|a| a.effect.name().to_owned()), at.map(|a| a.place.to_string())]
+    let promising = shortlist(&order, width.shortlist, |index| match last(index) {
+        Some(at) if width.diverse => vec![at.effect.name().to_owned(), at.place.to_string()],
+        _ => Vec::new(),
     });
     let effort = |kept: bool| if kept { Effort::Full } else { Effort::Light };
     let shots: Vec<Option<Shot>> = (0..screened.len())
@@ -266,7 +282,10 @@ pub fn fit_all(
         .map(|k| shoot_from(setup, base, &screened[k].hypothesis, &screened[k].starts, effort(promising[k])))
         .collect();
     let costs: Vec<f64> = shots.iter().map(|s| s.as_ref().map_or(f64::INFINITY, |s| s.cost)).collect();
-    let finalists = shortlist(&by_cost(&costs), FINALISTS, |index| vec![last(index).map(|a| a.place.kind)]);
+    let finalists = shortlist(&by_cost(&costs), width.finalists, |index| match last(index) {
+        Some(at) if width.diverse => vec![at.place.kind],
+        _ => Vec::new(),
+    });
     let all: Vec<(usize, (Screened, Option<Shot>))> = screened.into_iter().zip(shots).enumerate().collect();
     all.into_par_iter()
         .map(|(k, (screened, shot))| {
@@ -310,7 +329,8 @@ pub fn fit_from(
     // From where the windows left the base, which may differ from where the innovations did.
     let mut from = start.to_vec();
     from[..base.shooting.theta.len()].copy_from_slice(&base.shooting.theta);
-    let shot = fit_windows(setup, &simulator, &hypothesis, &windows, &from, FEW);
+    // The windows' states have to follow, which takes more.
+    let shot = fit_windows(setup, &simulator, &hypothesis, &windows, &from, 3 * FEW);
     assemble(setup, hypothesis, residuals, innovation, shot)
 }
 
@@ -328,5 +348,5 @@ fn continue_from(null: &Fit, hypothesis: &Hypothesis, start: &mut [f64]) {
 #[must_use]
 pub fn singles(setup: &Setup, null: &Fit, effects: &[EffectAt], done: &(dyn Fn(&str) + Sync)) -> Vec<Fit> {
     let hypotheses = effects.iter().map(|at| library::hypothesis(setup, std::slice::from_ref(at))).collect();
-    fit_all(setup, null, hypotheses, done)
+    fit_all(setup, null, hypotheses, Width::SINGLES, done)
 }

@@ -26,6 +26,13 @@ impl Shot {
         squares / self.residuals.counts.iter().sum::<usize>().max(1) as f64
     }
 
+    /// Mean squared residual of each output, in its unit squared.
+    #[must_use]
+    pub fn output_errors(&self) -> Vec<f64> {
+        let outputs = self.residuals.squares.iter().zip(&self.residuals.counts);
+        outputs.map(|(squares, count)| squares / (*count).max(1) as f64).collect()
+    }
+
     /// p / tr(H⁻¹ Σ g gᵀ): 1 for independent residuals, less where they are correlated within a window (the
     /// adjustment of composite likelihoods: Varin, Reid & Firth 2011, section 2.3).
     #[must_use]
