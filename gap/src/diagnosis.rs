@@ -1,11 +1,10 @@
 //! The diagnosis from end to end: bind, fit, weigh, localise, quantify, report.
 
-use std::collections::BTreeMap;
-
 use parallax_model::effect::{Effect, Place, PlaceKind};
 use parallax_model::system::{EffectEntry, Equations, System};
 use parallax_runtime::recording::log::Log;
 
+use crate::answers;
 use crate::bind::{BindError, bind, bind_all};
 use crate::detect;
 use crate::equations::MOST_VARIABLES;
@@ -20,9 +19,10 @@ pub use crate::options::Options;
 use crate::options::OptionsError;
 use crate::posterior::{self, Answer};
 use crate::quantify::{self, Row};
+use crate::readings::{self, ReadingEffect};
 use crate::report::{
     Absorbed, Calibration, Confusable, FittedEffect, Gap, HowFar, NotTestable, Overlay, Report, Split,
-    Unexplained, Value, Where, Which,
+    Unexplained,
 };
 use crate::search::{self, Fit};
 use crate::setup::Setup;
@@ -39,14 +39,6 @@ pub enum DiagnosisError {
     /// A choice of effects that this system cannot follow.
     #[error(transparent)]
     Options(#[from] OptionsError),
-    /// The system already states effects, which this version does not fit on top of.
-    #[error("{file}: the system contains {count} [[effect]] entries; diagnose the nominal file without them")]
-    HasEffects {
-        /// The system's file.
-        file: String,
-        /// How many.
-        count: usize,
-    },
     /// The log is too short for the windows.
     #[error(
         "recording `{title}` spans {span:.3} s; windows of {horizon:.3} s need at least {needed:.3} s. Record longer, or shorten the horizon"
@@ -111,9 +103,6 @@ pub fn diagnose(
     options: &Options,
     progress: &(dyn Fn(f64, &str) + Sync),
 ) -> Result<Diagnosis, DiagnosisError> {
-    if !system.effects.is_empty() {
-        return Err(DiagnosisError::HasEffects { file: system.file.clone(), count: system.effects.len() });
-    }
     let (equations, experiment) = bind(system, log)?;
     diagnose_experiment(equations, experiment, &log.title, options, progress)
 }
@@ -150,6 +139,7 @@ pub fn diagnose_experiment(
     progress: &(dyn Fn(f64, &str) + Sync),
 ) -> Result<Diagnosis, DiagnosisError> {
     progress(0.0, "nominal model");
+    let readings = readings::examine(&equations, &experiment);
     let (setup, null) = prepare(equations, experiment, title, options)?;
     let nuisance = Nuisance::new(&null);
     let (mut candidates, mut not_testable) = library::candidates(&setup);
@@ -173,7 +163,7 @@ pub fn diagnose_experiment(
         .extend(unknown::kinds(&setup).into_iter().map(|kind| unknown::columns(&setup, &null, &null, kind)));
     let p_value = detect::p_value(&nuisance, &columns, options.seed);
     progress(0.92, "held-out time");
-    Ok(conclude(&setup, title, options, Found { null, answers, p_value, not_testable, absorbed }))
+    Ok(conclude(&setup, title, options, Found { null, answers, p_value, not_testable, absorbed, readings }))
 }
 
 /// Looks at the data, and fits the nominal model: the null hypothesis.
@@ -191,7 +181,10 @@ pub(crate) fn prepare(
     if states + calibrated > most {
         return Err(DiagnosisError::TooMany { file: system.file.clone(), states, calibrated, most });
     }
-    let mut setup = Setup::new(equations, experiment, options.horizon);
+    // Readings that do not follow the plant would be taken for its motion.
+    let least = readings::believed(&equations, &readings::examine(&equations, &experiment));
+    let (experiment, _) = readings::cleaned(&equations, &experiment);
+    let mut setup = Setup::with_noise(equations, experiment, options.horizon, &least);
     quantify::refine_step(&mut setup);
     let setup = setup;
     let (from, to) = setup.experiment.span();
@@ -220,6 +213,8 @@ struct Found {
     p_value: f64,
     not_testable: Vec<library::NotTestable>,
     absorbed: Vec<Absorbed>,
+    /// What the raw readings show.
+    readings: Vec<ReadingEffect>,
 }
 
 /// Calibrated parameters that want to leave their bounds: each is a hypothesis of its own.
@@ -230,7 +225,10 @@ fn outgrown(setup: &Setup, null: &Fit) -> Vec<EffectAt> {
         .filter_map(|(_, f)| {
             let Slot::Nominal(index) = f.slot else { return None };
             let name = &setup.equations.system().parameters[index].name;
-            Some(EffectAt { effect: Effect::Parameter, place: Place::new(PlaceKind::Parameter, name.clone()) })
+            Some(EffectAt {
+                effect: Effect::Parameter,
+                place: Place::new(PlaceKind::Parameter, name.clone()),
+            })
         })
         .collect()
 }
@@ -254,6 +252,9 @@ fn chosen(
     );
     Ok(kept)
 }
+
+/// Error of predictions on held-out time, in noise units, up to which their mean counts as explained.
+const MEAN_EXPLAINED: f64 = 3.0;
 
 /// Share of a sensitivity's length that must be left beyond the calibrated parameters for an effect to be its own.
 const ABSORBED: f64 = 0.03;
@@ -299,11 +300,18 @@ fn absorber(null: &Fit, columns: &nalgebra::DMatrix<f64>) -> String {
 }
 
 fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diagnosis {
-    let Found { null, answers, p_value, not_testable, absorbed } = found;
+    let Found { null, answers, p_value, not_testable, absorbed, mut readings } = found;
     let system = setup.equations.system();
     let best = answers.leader(&null);
     let named = answers.answers.first().map_or(0.0, |a| a.probability) > answers.unexplained;
     let detected = p_value < 0.01 && answers.no_gap < 0.5;
+    readings.extend(readings::scatter(setup, if detected && named { best } else { &null }));
+    let stated = |r: &ReadingEffect| system.effects.iter().any(|e| e.name == r.name && e.place == r.place);
+    let allowed = |r: &ReadingEffect| {
+        let (effect, place) = (Effect::from_name(&r.name), r.place.parse());
+        effect.zip(place.ok()).is_some_and(|(effect, place)| options.allows(&EffectAt { effect, place }))
+    };
+    readings.retain(|r| allowed(r) && !stated(r));
 
     let explanations = explain::explain(
         &explain::Evidence {
@@ -360,16 +368,26 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
         .map(|o| quantify::overlay(setup, o, &refitted, &with_effect))
         .collect();
 
-    let shown = if detected && named { best } else { &null };
+    // How readings scatter is a cause of the gap only where their mean leaves nothing larger.
+    let causes: Vec<ReadingEffect> = readings
+        .iter()
+        .filter(|r| r.significant && with_effect.mean_square() < MEAN_EXPLAINED.powi(2))
+        .cloned()
+        .collect();
+    let chance = causes.iter().map(|r| (0.5 * r.evidence).exp()).fold(p_value, f64::min);
+    let (mean_detected, detected) = (detected, detected || !causes.is_empty());
+    let shown = if mean_detected && named { best } else { &null };
+    let which = answers::which(setup, &answers, &causes);
     let report = Report {
         summary: String::new(),
         system: system.name.clone(),
         recordings: vec![title.into()],
-        gap: Gap { detected, p_value, score: rms(&refitted) },
+        gap: Gap { detected, p_value: chance.max(f64::MIN_POSITIVE), score: rms(&refitted) },
         calibration: calibration(setup, shown),
-        where_: places(&answers),
-        maps: if detected { maps::maps(setup, &null, options.seed) } else { Vec::new() },
-        which: which(setup, &answers),
+        where_: answers::places(&answers, &causes),
+        maps: if mean_detected { maps::maps(setup, &null, options.seed) } else { Vec::new() },
+        which,
+        readings,
         unexplained,
         absorbed,
         not_testable: not_testable
@@ -382,12 +400,14 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
         explanations,
         made_from: None,
     };
-    let mut diagnosis = Diagnosis {
-        report,
-        overlays,
-        calibrated: corrected_values(setup, shown),
-        effects: corrected_effects(setup, shown),
-    };
+    let mut found = if mean_detected && named { answers::fitted_effects(setup, best) } else { Vec::new() };
+    found.extend(causes.iter().map(|r| FittedEffect {
+        name: r.name.clone(),
+        place: r.place.clone(),
+        parameters: r.parameters.clone(),
+    }));
+    let effects = answers::corrected_effects(&found);
+    let mut diagnosis = Diagnosis { report, overlays, calibrated: corrected_values(setup, shown), effects };
     diagnosis.report.summary = crate::report::sentence::summary(&diagnosis.report);
     diagnosis
 }
@@ -437,67 +457,6 @@ fn calibration(setup: &Setup, fit: &Fit) -> Vec<Calibration> {
     out
 }
 
-/// The effects of a fit, with their parameters.
-pub(crate) fn fitted_effects(setup: &Setup, fit: &Fit) -> Vec<FittedEffect> {
-    let (theta, std) = (fit.estimate(), fit.std());
-    fit.hypothesis
-        .effects
-        .iter()
-        .enumerate()
-        .map(|(e, at)| {
-            let mut parameters = BTreeMap::new();
-            for (k, f) in fit.hypothesis.fitted.iter().enumerate() {
-                let own = match f.slot {
-                    Slot::Effect { effect, .. } => effect == e,
-                    Slot::Nominal(index) => {
-                        at.effect == Effect::Parameter
-                            && library::place_index(setup, &at.place) == Some(index)
-                    }
-                    Slot::Weight(_) => false,
-                };
-                if own {
-                    parameters
-                        .insert(f.name.clone(), Value { value: theta[k], std: std[k], unit: f.unit.clone() });
-                }
-            }
-            FittedEffect { name: at.effect.name().into(), place: at.place.to_string(), parameters }
-        })
-        .collect()
-}
-
-fn which(setup: &Setup, posterior: &posterior::Posterior) -> Vec<Which> {
-    let mut out: Vec<Which> = posterior
-        .answers
-        .iter()
-        .map(|answer| Which {
-            effects: fitted_effects(setup, &answer.fit),
-            class: answer.class.clone(),
-            probability: answer.probability,
-        })
-        .collect();
-    out.push(Which { effects: Vec::new(), class: Vec::new(), probability: posterior.no_gap });
-    out.sort_by(|a, b| b.probability.total_cmp(&a.probability));
-    out
-}
-
-fn places(posterior: &posterior::Posterior) -> Vec<Where> {
-    let mut by_place: BTreeMap<String, Where> = BTreeMap::new();
-    for answer in &posterior.answers {
-        for (member, probability, share) in &answer.members {
-            let entry = by_place.entry(member.place.to_string()).or_insert_with(|| Where {
-                place: member.place.to_string(),
-                share: 0.0,
-                probability: 0.0,
-            });
-            entry.share = entry.share.max(*share);
-            entry.probability += probability;
-        }
-    }
-    let mut out: Vec<Where> = by_place.into_values().collect();
-    out.sort_by(|a, b| b.probability.total_cmp(&a.probability).then(b.share.total_cmp(&a.share)));
-    out
-}
-
 /// Classes of several effects, each with the experiment that would tell its members apart.
 fn confusable(setup: &Setup, null: &Fit, posterior: &posterior::Posterior, seed: u64) -> Vec<Confusable> {
     let classes = posterior.answers.iter().filter(|a: &&Answer| a.class.len() > 1 && a.probability > 0.01);
@@ -522,20 +481,6 @@ fn corrected_values(setup: &Setup, fit: &Fit) -> Vec<(String, f64)> {
         .filter_map(|(f, value)| match f.slot {
             Slot::Nominal(index) => Some((system.parameters[index].name.clone(), *value)),
             _ => None,
-        })
-        .collect()
-}
-
-fn corrected_effects(setup: &Setup, fit: &Fit) -> Vec<EffectEntry> {
-    fitted_effects(setup, fit)
-        .into_iter()
-        // A parameter with another value is written as that value.
-        .filter(|e| e.name != Effect::Parameter.name())
-        .map(|e| EffectEntry {
-            name: e.name,
-            place: e.place,
-            parameters: e.parameters.into_iter().map(|(name, v)| (name, v.value)).collect(),
-            line: 0,
         })
         .collect()
 }

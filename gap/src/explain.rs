@@ -9,7 +9,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::diagnosis::fitted_effects;
+use crate::answers::fitted_effects;
 use crate::filter::Pass;
 use crate::hypothesis::EffectAt;
 use crate::library;

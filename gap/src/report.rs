@@ -17,6 +17,7 @@ use crate::excitation::Promise;
 use crate::explain::Explanation;
 use crate::maps::Map;
 use crate::plot::{axis, draw};
+use crate::readings::ReadingEffect;
 
 /// A whole diagnosis.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -39,6 +40,9 @@ pub struct Report {
     pub maps: Vec<Map>,
     /// Answers by probability; an empty effect list is "no gap".
     pub which: Vec<Which>,
+    /// How readings scatter, repeat and are spaced: effects that leave every mean as it is, significant or not.
+    #[serde(default)]
+    pub readings: Vec<ReadingEffect>,
     /// What no named effect explains.
     pub unexplained: Unexplained,
     /// Effects that a calibrated parameter already covers.

@@ -113,7 +113,19 @@ const COMMANDS_PER_READING: f64 = 3.0;
 impl Setup {
     /// Looks at the data once, without judging it.
     #[must_use]
-    pub fn new(equations: Equations, mut experiment: Experiment, horizon: Option<f64>) -> Self {
+    pub fn new(equations: Equations, experiment: Experiment, horizon: Option<f64>) -> Self {
+        let least = vec![0.0; experiment.wraps.len()];
+        Self::with_noise(equations, experiment, horizon, &least)
+    }
+
+    /// The same, with each output's noise at least so large (standard deviations), whatever the system declares.
+    #[must_use]
+    pub fn with_noise(
+        equations: Equations,
+        mut experiment: Experiment,
+        horizon: Option<f64>,
+        least: &[f64],
+    ) -> Self {
         let outputs = experiment.wraps.len();
         let period = (0..outputs)
             .filter(|o| experiment.output(*o).0.len() > 2)
@@ -127,6 +139,7 @@ impl Setup {
                 equations.system().outputs[o]
                     .noise
                     .unwrap_or_else(|| noise::model_free(&experiment.output(o).1, experiment.wraps[o]))
+                    .max(least[o])
             })
             .collect();
         let output_scale: Vec<f64> = (0..outputs)

@@ -27,6 +27,26 @@ use crate::report::Value;
 pub use raw::{Suspicion, Suspicious, cleaned, examine};
 pub use scatter::scatter;
 
+/// The standard deviation to believe of each output's readings where they show more than the system declares; 0 where
+/// they do not.
+#[must_use]
+pub fn believed(equations: &parallax_model::system::Equations, effects: &[ReadingEffect]) -> Vec<f64> {
+    let of = |output: &str, name: &str, parameter: &str| {
+        let place = format!("output:{output}");
+        let found = effects.iter().find(|e| e.significant && e.name == name && e.place == place)?;
+        Some(found.parameters.get(parameter)?.value)
+    };
+    let outputs = equations.system().outputs.iter();
+    outputs
+        .map(|output| {
+            let noise = of(&output.name, "noise", "std").unwrap_or(0.0);
+            // Rounding to a lattice errs evenly over one step.
+            let rounding = of(&output.name, "quantization", "step").unwrap_or(0.0) / 12.0_f64.sqrt();
+            noise.hypot(rounding)
+        })
+        .collect()
+}
+
 /// Difference of −2 log evidence from which an effect counts as there.
 const DECISIVE: f64 = 10.0;
 

@@ -90,6 +90,7 @@ pub(crate) fn one_effect() -> Report {
             map("frequency", "Hz", 0.005, 0.12, |_| 0.0),
             map("time", "s", 0.4, 0.01, |_| 0.01),
         ],
+        readings: vec![],
         unexplained: Unexplained { probability: 0.01, share: 0.02 },
         absorbed: vec![Absorbed { effect: "viscous@joint:shaft".to_owned(), by: "b".to_owned() }],
         not_testable: vec![NotTestable {

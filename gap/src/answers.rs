@@ -1,0 +1,130 @@
+//! The answers as the report states them: effects with their parameters, classes with their probabilities, places.
+
+use std::collections::BTreeMap;
+
+use parallax_model::effect::Effect;
+use parallax_model::system::EffectEntry;
+
+use crate::hypothesis::Slot;
+use crate::library;
+use crate::posterior;
+use crate::readings::ReadingEffect;
+use crate::report::{FittedEffect, Value, Where, Which};
+use crate::search::Fit;
+use crate::setup::Setup;
+
+/// The effects of a fit, with their parameters.
+pub(crate) fn fitted_effects(setup: &Setup, fit: &Fit) -> Vec<FittedEffect> {
+    let (theta, std) = (fit.estimate(), fit.std());
+    fit.hypothesis
+        .effects
+        .iter()
+        .enumerate()
+        .map(|(e, at)| {
+            let fitted = fit.hypothesis.fitted.iter().enumerate();
+            let own: Vec<usize> = fitted
+                .filter(|(_, f)| match f.slot {
+                    Slot::Effect { effect, .. } => effect == e,
+                    Slot::Nominal(index) => {
+                        at.effect == Effect::Parameter
+                            && library::place_index(setup, &at.place) == Some(index)
+                    }
+                    Slot::Weight(_) => false,
+                })
+                .map(|(k, _)| k)
+                .collect();
+            let values: Vec<f64> = own.iter().map(|&k| theta[k]).collect();
+            let values = at.effect.canonical(&values);
+            let parameters = own
+                .iter()
+                .zip(values)
+                .map(|(&k, value)| {
+                    let f = &fit.hypothesis.fitted[k];
+                    (f.name.clone(), Value { value, std: std[k], unit: f.unit.clone() })
+                })
+                .collect();
+            FittedEffect { name: at.effect.name().into(), place: at.place.to_string(), parameters }
+        })
+        .collect()
+}
+
+/// All answers by probability. Effects on how readings scatter that count as causes are part of each.
+pub(crate) fn which(
+    setup: &Setup,
+    posterior: &posterior::Posterior,
+    readings: &[ReadingEffect],
+) -> Vec<Which> {
+    let mut out: Vec<Which> = posterior
+        .answers
+        .iter()
+        .map(|answer| Which {
+            effects: fitted_effects(setup, &answer.fit),
+            class: answer.class.clone(),
+            probability: answer.probability,
+        })
+        .collect();
+    out.push(Which { effects: Vec::new(), class: Vec::new(), probability: posterior.no_gap });
+    let labels: Vec<String> = readings.iter().map(|r| format!("{}@{}", r.name, r.place)).collect();
+    for answer in &mut out {
+        if labels.is_empty() {
+            break;
+        }
+        for name in &mut answer.class {
+            *name = format!("{name} + {}", labels.join(" + "));
+        }
+        if answer.class.is_empty() {
+            answer.class.push(labels.join(" + "));
+        }
+        answer.effects.extend(readings.iter().map(|r| FittedEffect {
+            name: r.name.clone(),
+            place: r.place.clone(),
+            parameters: r.parameters.clone(),
+        }));
+    }
+    out.sort_by(|a, b| b.probability.total_cmp(&a.probability));
+    out
+}
+
+/// Places by probability.
+pub(crate) fn places(posterior: &posterior::Posterior, readings: &[ReadingEffect]) -> Vec<Where> {
+    let mut by_place: BTreeMap<String, Where> = BTreeMap::new();
+    for answer in &posterior.answers {
+        for (member, probability, share) in &answer.members {
+            let entry = by_place.entry(member.place.to_string()).or_insert_with(|| Where {
+                place: member.place.to_string(),
+                share: 0.0,
+                probability: 0.0,
+            });
+            entry.share = entry.share.max(*share);
+            entry.probability += probability;
+        }
+    }
+    for reading in readings {
+        let entry = by_place.entry(reading.place.clone()).or_insert_with(|| Where {
+            place: reading.place.clone(),
+            share: 0.0,
+            probability: 0.0,
+        });
+        entry.share = entry.share.max(reading.share.unwrap_or(0.0));
+        entry.probability = 1.0;
+    }
+    let mut out: Vec<Where> = by_place.into_values().collect();
+    out.sort_by(|a, b| b.probability.total_cmp(&a.probability).then(b.share.total_cmp(&a.share)));
+    out
+}
+
+/// What is added to a corrected system.
+pub(crate) fn corrected_effects(effects: &[FittedEffect]) -> Vec<EffectEntry> {
+    effects
+        .iter()
+        .cloned()
+        // A parameter with another value is written as that value.
+        .filter(|e| e.name != Effect::Parameter.name())
+        .map(|e| EffectEntry {
+            name: e.name,
+            place: e.place,
+            parameters: e.parameters.into_iter().map(|(name, v)| (name, v.value)).collect(),
+            line: 0,
+        })
+        .collect()
+}
