@@ -5,6 +5,7 @@ mod testable;
 
 use parallax_model::effect::{Effect, Place, PlaceKind};
 use parallax_model::plant::{ExtraState, Plant, Residual};
+use parallax_model::system::{OwnParameter, StatedEffect, System};
 
 use crate::equations::EquationsSimulator;
 use crate::hypothesis::{EffectAt, Fitted, Hypothesis, Prior, Slot};
@@ -57,8 +58,9 @@ fn everywhere(setup: &Setup, chosen: impl Fn(Effect) -> bool) -> Vec<(EffectAt, 
                 PlaceKind::Parameter => system
                     .parameters
                     .iter()
-                    .filter(|p| p.calibrate.is_none())
-                    .map(|p| p.name.clone())
+                    .enumerate()
+                    .filter(|(index, p)| p.calibrate.is_none() && owner(system, *index).is_none())
+                    .map(|(_, p)| p.name.clone())
                     .collect(),
                 PlaceKind::State => system.states.iter().map(|s| s.name.clone()).collect(),
                 PlaceKind::Connection | PlaceKind::Node => Vec::new(),
@@ -69,6 +71,11 @@ fn everywhere(setup: &Setup, chosen: impl Fn(Effect) -> bool) -> Vec<(EffectAt, 
                 all.push((at, index));
             }
         }
+    }
+    for own in system.own.iter().filter(|own| chosen(own.effect)) {
+        let at = EffectAt { effect: own.effect, place: own.place.clone() };
+        let index = place_index(setup, &at.place).unwrap_or(0);
+        all.push((at, index));
     }
     all
 }
@@ -82,6 +89,10 @@ pub fn hypothesis(setup: &Setup, effects: &[EffectAt]) -> Hypothesis {
         if at.effect == Effect::Parameter {
             fitted.retain(|f| f.slot != Slot::Nominal(index));
             fitted.push(free_parameter(setup, index));
+            continue;
+        }
+        if let Some(own) = setup.equations.system().own.iter().find(|own| own.effect == at.effect) {
+            fitted.extend(own.parameters.iter().map(|parameter| own_parameter(setup, parameter)));
             continue;
         }
         for (k, spec) in at.effect.parameters().iter().enumerate() {
@@ -134,6 +145,38 @@ fn free_parameter(setup: &Setup, index: usize) -> Fitted {
         scale: 0.1 * size,
         starts: vec![p.value],
     }
+}
+
+/// A parameter of an effect that the system's file adds: anywhere between its bounds, more likely near its null value.
+fn own_parameter(setup: &Setup, parameter: &OwnParameter) -> Fitted {
+    let p = &setup.equations.system().parameters[parameter.index];
+    let OwnParameter { low, high, .. } = *parameter;
+    let size = 0.25 * (high - low);
+    let start = |share: f64| {
+        let above = p.value + share * size;
+        if above <= high { above } else { p.value - share * size }
+    };
+    let mut starts = vec![start(0.05), start(0.5)];
+    if p.value - 0.5 * size >= low {
+        starts.push(p.value - 0.5 * size);
+    }
+    Fitted {
+        slot: Slot::Nominal(parameter.index),
+        name: p.name.clone(),
+        unit: p.unit.clone(),
+        null: p.value,
+        prior: Prior::Normal { mean: p.value, std: size },
+        low,
+        high,
+        scale: 0.2 * size,
+        starts,
+    }
+}
+
+/// The effect of the system's file to which a parameter belongs.
+#[must_use]
+pub fn owner(system: &System, parameter: usize) -> Option<&StatedEffect> {
+    system.own.iter().find(|own| own.parameters.iter().any(|p| p.index == parameter))
 }
 
 /// Index of a place among the system's inputs, outputs, joints, states or parameters.

@@ -17,7 +17,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use parallax_model::effect::{Effect, Place, PlaceKind};
+use parallax_model::effect::{Place, PlaceKind};
 use parallax_model::system::Suggestion;
 
 use crate::hypothesis::EffectAt;
@@ -77,16 +77,6 @@ pub enum OptionsError {
         "`{0}` names no effect: write an effect, a place, or EFFECT@PLACE, such as coulomb, joint:axis or delay@input:u"
     )]
     Form(String),
-    /// An effect that nobody knows.
-    #[error("`{name}` is no effect{suggestion} (there are: {known})")]
-    Effect {
-        /// What was written.
-        name: String,
-        /// What may have been meant.
-        suggestion: Suggestion,
-        /// The names of all effects.
-        known: String,
-    },
     /// A weight that is none.
     #[error(
         "`{0}` states no weight: write EFFECT[@PLACE]=WEIGHT with a number above zero, such as coulomb=3 (an effect that must not be tried belongs to --exclude)"
@@ -120,14 +110,14 @@ impl FromStr for Pattern {
         };
         match text.split_once('@') {
             Some((effect, at)) => {
-                known_effect(effect)?;
+                named(effect)?;
                 Ok(Pattern { effect: Some(effect.into()), place: Some(place(at).ok_or_else(form)?) })
             }
             None if text.contains(':') => {
                 Ok(Pattern { effect: None, place: Some(place(text).ok_or_else(form)?) })
             }
             None => {
-                known_effect(text)?;
+                named(text)?;
                 Ok(Pattern { effect: Some(text.into()), place: None })
             }
         }
@@ -139,28 +129,10 @@ fn kind(name: &str) -> Option<PlaceKind> {
     format!("{name}:x").parse::<Place>().ok().map(|place| place.kind)
 }
 
-/// The names of all effects, each once.
-fn effects() -> Vec<&'static str> {
-    let mut names: Vec<&str> = Effect::ALL.iter().map(|effect| effect.name()).collect();
-    names.sort_unstable();
-    names.dedup();
-    names
-}
-
-fn known_effect(name: &str) -> Result<(), OptionsError> {
-    let known = effects();
-    if known.contains(&name) {
-        return Ok(());
-    }
-    Err(if name.trim().is_empty() {
-        OptionsError::Form(name.into())
-    } else {
-        OptionsError::Effect {
-            name: name.into(),
-            suggestion: Suggestion::nearest(name, known.iter().copied()),
-            known: known.join(", "),
-        }
-    })
+/// A name that an effect of the library or of a system's file may have.
+fn named(name: &str) -> Result<(), OptionsError> {
+    let letter = |c: char| c.is_alphanumeric() || c == '_';
+    if !name.is_empty() && name.chars().all(letter) { Ok(()) } else { Err(OptionsError::Form(name.into())) }
 }
 
 impl FromStr for Prior {
@@ -235,7 +207,10 @@ impl Options {
                 let written = pattern.to_string();
                 return Err(OptionsError::Nothing {
                     option,
-                    suggestion: Suggestion::nearest(&written, labels.iter().map(String::as_str)),
+                    suggestion: Suggestion::nearest(
+                        &written,
+                        known.iter().map(|at| at.effect.name()).chain(labels.iter().map(String::as_str)),
+                    ),
                     pattern: written,
                     known: labels.join(", "),
                 });
@@ -251,6 +226,7 @@ impl Options {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use parallax_model::effect::Effect;
 
     fn at(effect: Effect, place: &str) -> EffectAt {
         EffectAt { effect, place: place.parse().unwrap() }
@@ -281,7 +257,6 @@ mod tests {
     #[test]
     fn misspelt_names_are_refused_with_the_nearest() {
         let said = |text: &str| text.parse::<Pattern>().unwrap_err().to_string();
-        assert!(said("coulom").contains("did you mean `coulomb`"), "{}", said("coulom"));
         assert!(said("delay@limb:axis").contains("delay@limb:axis"), "{}", said("delay@limb:axis"));
         assert!(said("").contains("names no effect"));
         let options = Options { only: vec![pattern("coulomb@joint:axes")], ..Options::default() };
@@ -289,6 +264,9 @@ mod tests {
         for part in ["--only", "coulomb@joint:axes", "did you mean `coulomb@joint:axis`"] {
             assert!(error.contains(part), "{error}");
         }
+        let options = Options { exclude: vec![pattern("coulom")], ..Options::default() };
+        let error = options.check(&[at(Effect::Coulomb, "joint:axis")]).unwrap_err().to_string();
+        assert!(error.contains("did you mean `coulomb`"), "{error}");
     }
 
     #[test]
