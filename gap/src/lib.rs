@@ -10,6 +10,8 @@
 //! - Two losses fit it: the innovation likelihood ([`filter`], [`innovation`]) and short windows with free initial states
 //!   ([`shooting`]). [`posterior`] weighs the fits, [`detect`] says whether there is a gap at all, [`signature`] which
 //!   effects cannot be told apart, [`unknown`] stands for causes without a name, and [`quantify`] says how far it goes.
+//! - Beside the plant: [`timing`] says what the stamps of a recording prove, [`nodes`] which nodes explain their output,
+//!   and [`readings`] what shows only in how readings scatter, repeat and are spaced.
 //!
 //! A cart that loses more force at speed than its simulator believes:
 //!
@@ -83,6 +85,7 @@ pub mod judge;
 pub mod library;
 pub mod machine;
 pub mod maps;
+pub mod nodes;
 pub mod noise;
 pub mod options;
 pub mod plot;
@@ -98,5 +101,6 @@ pub mod signature;
 pub mod simulator;
 pub mod spectrum;
 pub mod statistics;
+pub mod timing;
 pub mod unknown;
 pub mod windows;

@@ -36,7 +36,13 @@ fn significant(effects: &[ReadingEffect]) -> Vec<String> {
 }
 
 /// The effect is the only one that is significant, and its parameter is the truth within what it states.
-fn is_alone(experiment: &Experiment, declared: bool, label: &str, parameter: &str, truth: f64) -> ReadingEffect {
+fn is_alone(
+    experiment: &Experiment,
+    declared: bool,
+    label: &str,
+    parameter: &str,
+    truth: f64,
+) -> ReadingEffect {
     let effects = examine(&equations(declared), experiment);
     assert_eq!(significant(&effects), [label], "{effects:#?}");
     let effect = effects.into_iter().find(|e| e.significant).expect("one is significant");
@@ -166,7 +172,8 @@ fn jittered(seed: u64, most: f64) -> Experiment {
 #[test]
 fn times_of_readings_that_scatter_are_found() {
     let effects = scattered(jittered(7, 0.008));
-    let found = effects.iter().find(|e| e.name == "jitter" && e.place == "output:angle").expect("it is judged");
+    let found =
+        effects.iter().find(|e| e.name == "jitter" && e.place == "output:angle").expect("it is judged");
     assert!(found.significant, "{found:#?}");
     // The standard deviation of an even spread.
     let truth = 0.008 / 12.0_f64.sqrt();

@@ -72,5 +72,7 @@ pub(super) fn log_mixture(residual: f64, rate: f64, std: f64, far: f64) -> f64 {
 
 /// The rate's posterior, given the noise and the size of outliers.
 pub(super) fn rate(residuals: &[f64], independence: f64, std: f64, far: f64) -> Peak {
-    peak(1e-4, 0.5, |rate| independence * residuals.iter().map(|r| log_mixture(*r, rate, std, far)).sum::<f64>())
+    peak(1e-4, 0.5, |rate| {
+        independence * residuals.iter().map(|r| log_mixture(*r, rate, std, far)).sum::<f64>()
+    })
 }

@@ -174,7 +174,13 @@ impl Noise {
         let residuals: Vec<f64> = clean.residuals().into_iter().flatten().collect();
         let learnt = (LEARNT * residuals.len() as f64) as usize;
         let found = root_mean_square(&residuals[..learnt]).max(0.1 * floor).max(1e-12);
-        Noise { learnt, independence: clean.independence().0, unit: declared.unwrap_or(found), found, residuals }
+        Noise {
+            learnt,
+            independence: clean.independence().0,
+            unit: declared.unwrap_or(found),
+            found,
+            residuals,
+        }
     }
 
     /// Mean log density of the held-out residuals, scored on bins of one noise unit.
@@ -276,8 +282,7 @@ fn outlier_effect(
         .collect();
     let learnt = (LEARNT * residuals.len() as f64) as usize;
     let values: Vec<f64> = residuals.iter().map(|r| r.1).collect();
-    let inside: Vec<f64> =
-        residuals[..learnt].iter().filter(|(k, _)| !marked[*k]).map(|r| r.1).collect();
+    let inside: Vec<f64> = residuals[..learnt].iter().filter(|(k, _)| !marked[*k]).map(|r| r.1).collect();
     let outside: Vec<f64> = residuals.iter().filter(|(k, _)| marked[*k]).map(|r| r.1).collect();
     let std = root_mean_square(&inside).max(1e-12);
     let far = root_mean_square(&outside).max(6.0 * std);
@@ -286,7 +291,8 @@ fn outlier_effect(
     let rate = outliers::rate(&values[..learnt], noise.independence, std, far);
     // The size of outliers is a second parameter, the noise is one on both sides.
     let evidence = -2.0 * (rate.log_evidence - noise.independence * null) + (learnt.max(1) as f64).ln();
-    let scored = Noise { residuals: values, learnt, independence: noise.independence, unit: noise.unit, found: std };
+    let scored =
+        Noise { residuals: values, learnt, independence: noise.independence, unit: noise.unit, found: std };
     let without = scored.score(|r| log_normal(r, all));
     let with = scored.score(|r| outliers::log_mixture(r, rate.value, std, far));
     let density = LogDensity { without, with, best: with.max(free(&scored)) };

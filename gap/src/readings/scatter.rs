@@ -72,12 +72,14 @@ pub fn scatter(setup: &Setup, fit: &Fit) -> Vec<ReadingEffect> {
             continue;
         }
         let disturbed = |change: &dyn Fn(&Held, &mut ChaCha8Rng) -> Held, unit: f64| {
-            let both = [0, 1].map(|k| of_command(setup, fit, &noise, i, segments[k], &passes[k], change, unit));
+            let both =
+                [0, 1].map(|k| of_command(setup, fit, &noise, i, segments[k], &passes[k], change, unit));
             let [train, test] = both;
             Some((train?, test?))
         };
         let mut here = Vec::new();
-        if let Some((train, test)) = disturbed(&|held, random| late(held, 0.3 * period, random), 0.3 * period) {
+        if let Some((train, test)) = disturbed(&|held, random| late(held, 0.3 * period, random), 0.3 * period)
+        {
             here.extend(judge("jitter", "spread", "s", (1e-6, f64::MAX), &train, &test, &place));
         }
         // The variance grows with the rate, so that the size is for its root.

@@ -40,9 +40,7 @@ pub(super) fn repeats(local: &Local, wrap: Option<f64>, lattice: Option<Lattice>
         }
         // Motion over the run, from the reading before it to the one after it; unknown at the ends of the log.
         let chord = match (first.checked_sub(1), value.get(k)) {
-            (Some(before), Some(after)) => {
-                wrapped(after - value[before], wrap).abs() / (k - before) as f64
-            }
+            (Some(before), Some(after)) => wrapped(after - value[before], wrap).abs() / (k - before) as f64,
             _ => 0.0,
         };
         let still = chord <= 1e-9 * largest;
