@@ -219,12 +219,17 @@ pub fn extra_std(setup: &Setup, plant: &Plant) -> Vec<f64> {
         .extra_states()
         .iter()
         .map(|state| match *state {
+            // As far as a reading goes in a twentieth of a second.
             ExtraState::Reading { output, .. } => {
-                0.3 * setup.output_scale[output].max(setup.output_noise[output])
+                let (_, values) = setup.experiment.output(output);
+                let values = crate::noise::unwrapped(&values, setup.experiment.wraps[output]);
+                let steps: Vec<f64> = values.windows(2).map(|w| w[1] - w[0]).collect();
+                let rate = crate::statistics::root_mean_square(&steps) / setup.period;
+                (0.05 * rate).min(0.3 * setup.output_scale[output]).max(setup.output_noise[output])
             }
-            // What a spring gives way in a fiftieth of a second of motion.
-            ExtraState::Deflection { joint, .. } => 0.02 * setup.joints[joint].speed,
-            ExtraState::DeflectionRate { joint, .. } => setup.joints[joint].speed,
+            // As far as the driving force bends a spring that swings in the middle of what can be seen.
+            ExtraState::Deflection { joint, .. } => sizes::deflection(setup, joint).0,
+            ExtraState::DeflectionRate { joint, .. } => sizes::deflection(setup, joint).1,
         })
         .collect()
 }

@@ -23,7 +23,9 @@ fn is_found(hidden: Hidden, name: &str, place: &str, parameters: &[(&str, f64)])
     let report = diagnosed(hidden, 7).report;
     assert!(report.gap.detected, "{label}: not detected, p = {}", report.gap.p_value);
     let leader = &report.which[0];
-    assert!(leader.class.contains(&label), "{label}: the answer is {:?}", leader.class);
+    let answers: Vec<_> =
+        report.which.iter().take(4).map(|w| (&w.class, w.probability, &w.effects)).collect();
+    assert!(leader.class.contains(&label), "{label}: the answers are {answers:?}");
     let closed = report.how_far.closed_by_effect.value;
     assert!(closed > 0.9, "{label}: closes only {closed}");
     // A class is named by its simplest member; the values are the truth's where it is the one that is named.

@@ -128,7 +128,9 @@ impl Plant {
     #[must_use]
     pub fn extra_values(&self) -> Vec<f64> {
         let free = self.effects.iter().filter(|b| b.fixed.is_none());
-        let mut values: Vec<f64> = free.flat_map(|b| b.effect.parameters().iter().map(|p| p.null)).collect();
+        let null = |null: f64| if null.is_nan() { 0.0 } else { null };
+        let mut values: Vec<f64> =
+            free.flat_map(|b| b.effect.parameters().iter().map(|p| null(p.null))).collect();
         values.resize(self.extra, 0.0);
         values
     }
@@ -261,7 +263,8 @@ impl Plant {
         for (k, effect) in own.take(lags) {
             let tau = self.own(&self.effects[effect], extra)[0];
             let followed = tau.max(T::constant(self.step));
-            value -= (tau / followed) * (value - point.states[n + k]);
+            let shown = self.by_states(output, point, &point.states[..n]) - point.states[n + k];
+            value -= (tau / followed) * (value - shown);
         }
         value
     }

@@ -72,7 +72,9 @@ fn size(setup: &Setup, at: &EffectAt, index: usize, spec: &EffectParameter, fitt
             (fitted.low, fitted.high) = (-2.0 * LARGEST_SKEW, 2.0 * LARGEST_SKEW);
         }
         Q::Ratio => {
-            sized(fitted, 0.3, &[0.0]);
+            // An angle that turns many times compares with its reading only up to whole turns: a start must be near.
+            let wraps = at.place.kind == PlaceKind::Output && setup.experiment.wraps[index].is_some();
+            sized(fitted, 0.3, if wraps { &[0.0, 0.3, -0.3, 0.6, -0.6] } else { &[0.0] });
             fitted.low = 0.02;
         }
         Q::Exponent => sized(fitted, 1.5, &[0.0]),
@@ -104,7 +106,9 @@ fn level(setup: &Setup, at: &EffectAt, index: usize, spec: &EffectParameter, fit
             let upper = spec.quantity == Quantity::High;
             let (low, high) = if upper { (range.middle(), range.high) } else { (range.low, range.middle()) };
             fitted.null = if upper { high } else { low };
-            let starts = [0.05, 0.3, 0.6].map(|s| fitted.null + s * (range.middle() - fitted.null));
+            // Shares of half the range; clipped readings give a window no guess, so that starts are nearer there.
+            let shares = if at.place.kind == PlaceKind::Output { [0.1, 0.3, 0.6] } else { [0.05, 0.3, 0.6] };
+            let starts = shares.map(|s| fitted.null + s * (range.middle() - fitted.null));
             flat(fitted, low, high, starts.to_vec());
         }
         Quantity::Level if at.effect == Effect::SaturationSoft => {
@@ -252,9 +256,20 @@ fn mass(setup: &Setup, joint: usize) -> f64 {
     }
 }
 
+/// Natural size of a spring's deflection and of its rate, for one that swings in the middle of what can be seen.
+pub(super) fn deflection(setup: &Setup, joint: usize) -> (f64, f64) {
+    let scale = &setup.joints[joint];
+    let turns = TAU * 0.3 * HIGHEST / setup.period;
+    let size = scale.force / (turns * turns * scale.inertia * 0.25);
+    (0.5 * size, 0.2 * size * turns)
+}
+
+/// Highest frequency of a spring inside a joint that readings show, in their own frequency.
+const HIGHEST: f64 = 0.35;
+
 /// A spring inside a joint, by the frequency at which equal halves of the joint would swing against each other.
 fn flexible(setup: &Setup, scale: &JointScale, quantity: Quantity, fitted: &mut Fitted) {
-    let highest = 0.35 / setup.period;
+    let highest = HIGHEST / setup.period;
     let stiffness = |hertz: f64| (TAU * hertz).powi(2) * scale.inertia * 0.25;
     let hertz = [0.12, 0.3, 0.7].map(|share: f64| share * highest);
     match quantity {

@@ -52,7 +52,10 @@ impl Plant {
         for bound in &self.effects {
             let index = bound.index;
             match bound.effect {
-                Effect::Parameter => moved.parameters[index] = self.own(bound, extra)[0],
+                // A free one is an entry of the system's parameters itself.
+                Effect::Parameter if bound.fixed.is_some() => {
+                    moved.parameters[index] = self.own(bound, extra)[0];
+                }
                 Effect::Payload if !self.equations.system().joints[index].payload.is_empty() => {
                     let mass = self.own(bound, extra)[0];
                     moved.parameters = self.equations.loaded(index, &moved.parameters, mass);

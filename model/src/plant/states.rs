@@ -9,7 +9,8 @@ use crate::system::{Point, Values};
 /// A state beyond the nominal ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExtraState {
-    /// What a lagging sensor shows, in the output's unit.
+    /// How far what a lagging sensor shows is behind its output, in the output's unit: what the nominal states make of
+    /// the output, less what is shown. As a distance it is small however little is known of the states.
     Reading {
         /// Index among the plant's effects.
         effect: usize,
@@ -31,6 +32,10 @@ pub enum ExtraState {
         joint: usize,
     },
 }
+
+/// Over how long a time the change of an output along the motion is taken, in central differences (s): exact for what is
+/// linear in the states.
+const INSTANT: f64 = 1e-4;
 
 /// The states that these effects bring.
 pub(super) fn of(effects: &[BoundEffect]) -> Vec<ExtraState> {
@@ -71,7 +76,10 @@ impl Plant {
         }
         let values = self.equations.values(&Point { states: &point.states[..n], ..*point }, &[]);
         states.extend(self.extra_states.iter().map(|state| match *state {
-            ExtraState::Reading { output, .. } => values.outputs[output],
+            ExtraState::Reading { output, .. } => {
+                let plain = Point { states: &point.states[..n], ..*point };
+                self.by_states(output, &plain, plain.states) - values.outputs[output]
+            }
             ExtraState::Deflection { .. } | ExtraState::DeflectionRate { .. } => 0.0,
         }));
         states
@@ -83,13 +91,20 @@ impl Plant {
         let system = self.equations.system();
         let mut names: Vec<String> = system.states.iter().map(|s| s.name.clone()).collect();
         names.extend(self.extra_states.iter().enumerate().map(|(k, state)| match *state {
-            ExtraState::Reading { output, .. } => format!("{}_shown_{k}", system.outputs[output].name),
+            ExtraState::Reading { output, .. } => format!("{}_behind_{k}", system.outputs[output].name),
             ExtraState::Deflection { joint, .. } => format!("{}_deflection_{k}", system.joints[joint].name),
             ExtraState::DeflectionRate { joint, .. } => {
                 format!("{}_deflection_rate_{k}", system.joints[joint].name)
             }
         }));
         names
+    }
+
+    /// What the nominal states alone make of an output, the commands and the time being zero.
+    pub(super) fn by_states<T: Scalar>(&self, output: usize, point: &Point<'_, T>, states: &[T]) -> T {
+        let inputs = vec![T::constant(0.0); point.inputs.len()];
+        let still = Point { states, inputs: &inputs, time: T::constant(0.0), ..*point };
+        self.equations.values(&still, &[]).outputs[output]
     }
 
     /// Keeps saturated states within their bounds: a derivative that points outside vanishes there, and what is
@@ -121,11 +136,18 @@ impl Plant {
             let rate = match *state {
                 ExtraState::Reading { effect, output } => {
                     // A lag shorter than a step is followed as one of a step, and shown in proportion (see `lagged`):
-                    // y − τ ẏ to first order in both.
+                    // y − τ ẏ to first order in both. The state is g − s, with τ ṡ = y − s and ġ along the motion.
                     let tau = self.own(&self.effects[effect], extra)[0].max(T::constant(self.step));
                     let source = self.lagged(output, point, extra, values, lags[output]);
                     lags[output] += 1;
-                    (source - point.states[n + k]) / tau
+                    let states = &point.states[..n];
+                    let beside = |seconds: f64| -> Vec<T> {
+                        states.iter().zip(derivatives.iter()).map(|(x, d)| *x + *d * seconds).collect()
+                    };
+                    let ahead = self.by_states(output, point, &beside(INSTANT));
+                    let behind = self.by_states(output, point, &beside(-INSTANT));
+                    let shown = self.by_states(output, point, states) - point.states[n + k];
+                    (ahead - behind) / (2.0 * INSTANT) - (source - shown) / tau
                 }
                 ExtraState::Deflection { .. } => point.states[n + k + 1],
                 ExtraState::DeflectionRate { .. } => {
