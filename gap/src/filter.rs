@@ -7,7 +7,7 @@
 //! (Ljung, "System Identification", section 11.3).
 
 //!
-//! Stretches of the log are walked side by side, one on each lane. What is computed on lanes is in [`lanes`].
+//! Stretches of the log are walked side by side, one on each lane.
 
 mod lanes;
 
@@ -120,9 +120,11 @@ fn walk_group(run: &mut dyn Run, group: &[Start], scale: &[f64], noise: &Noise, 
     let mut motion = Motion::new(n, n, p);
     let mut variance = vec![zero; n];
     for (lane, start) in group.iter().enumerate() {
-        for i in 0..n {
-            motion.x[i][lane] = start.state[i];
-            variance[i][lane] = start.std[i] * start.std[i];
+        for (x, value) in motion.x.iter_mut().zip(&start.state) {
+            x[lane] = *value;
+        }
+        for (variance, std) in variance.iter_mut().zip(&start.std) {
+            variance[lane] = std * std;
         }
     }
     motion.seed();

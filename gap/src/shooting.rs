@@ -301,12 +301,12 @@ impl Normal {
                 let mut column: Vec<f64> = (0..n).map(|i| self.information(lane, n + j, i)).collect();
                 forward(l, n, &mut column);
                 score[j] -= column.iter().zip(&z).map(|(a, b)| a * b).sum::<f64>();
-                for i in 0..n {
-                    y[i * p + j] = column[i];
+                for (i, entry) in column.iter().enumerate() {
+                    y[i * p + j] = *entry;
                 }
                 backward(l, n, &mut column);
-                for i in 0..n {
-                    window.response[i * p + j] = -column[i];
+                for (i, moved) in column.iter().enumerate() {
+                    window.response[i * p + j] = -moved;
                 }
             }
             backward(l, n, &mut z);
