@@ -173,7 +173,7 @@ fn a_graph_plays_a_command_file() {
     fs::write(folder.path().join("c.csv"), text).unwrap();
     let arguments = ["sim", "pendulum", "--duration", "2", "--play", "motor=c.csv", "--out", "played.mcap"];
     ends(&folder, 0, &arguments);
-    let log = Recording::read(&folder.path().join("played.mcap")).unwrap().log();
+    let log = Recording::read(folder.path().join("played.mcap")).unwrap().log();
     let voltage = log.signal("motor.voltage").unwrap();
     for (time, value) in voltage.times.iter().zip(&voltage.values) {
         let seconds = *time as f64 * 1e-9;
