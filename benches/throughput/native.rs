@@ -52,7 +52,15 @@ fn rollouts(
     for ((leaf, _), values) in case.nominal.iter().zip(case.parameters(environments)) {
         work.set_param("world", leaf, &values)?;
     }
-    let mean = (0..environments).map(|env| tables.lengths[env % tables.episodes] as usize).sum::<usize>();
+    // Lanes stay full where there are enough environments for every schedule to have whole blocks of them.
+    let block = match precision {
+        Precision::SingleLanes => F32x32::LANES,
+        _ => F64x16::LANES,
+    };
+    let block = if environments >= block * tables.episodes { block } else { 1 };
+    let episodes: Vec<u32> = (0..environments).map(|env| (env / block % tables.episodes) as u32).collect();
+    work.set_episodes(&episodes)?;
+    let mean = episodes.iter().map(|episode| tables.lengths[*episode as usize] as usize).sum::<usize>();
     batch.rollout(&work, precision, &[])?;
     let seconds = timing.measure(|| {
         black_box(batch.rollout(&work, precision, &[]).expect("it ran before"));
