@@ -135,9 +135,12 @@ pub fn nodes(recording: &Recording, registry: &Registry) -> Result<Nodes, Replay
     Ok(found)
 }
 
-/// What nodes sent in the replay, by name.
+/// The name of a node, and the leaves of all that it sent.
+type Sent = (String, Vec<f64>);
+
+/// What nodes sent in the replay.
 #[derive(Clone, Default)]
-struct Heard(Arc<Mutex<Vec<(String, Vec<f64>)>>>);
+struct Heard(Arc<Mutex<Vec<Sent>>>);
 
 /// A node whose outputs are written down.
 struct Listener {

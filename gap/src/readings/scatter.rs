@@ -71,9 +71,12 @@ pub fn scatter(setup: &Setup, fit: &Fit) -> Vec<ReadingEffect> {
         if period <= 0.0 {
             continue;
         }
-        let disturbed = |change: &dyn Fn(&Held, &mut ChaCha8Rng) -> Held, unit: f64| {
-            let both =
-                [0, 1].map(|k| of_command(setup, fit, &noise, i, segments[k], &passes[k], change, unit));
+        let disturbed = |change: &Change<'_>, unit: f64| {
+            let both = [0, 1].map(|k| {
+                let walked = |disturbed: &Setup| pass(disturbed, fit, &noise, segments[k]);
+                let squares = disturbances(setup, i, change, &walked, &passes[k])?;
+                of_command(&passes[k], &squares, unit)
+            });
             let [train, test] = both;
             Some((train?, test?))
         };
@@ -131,23 +134,24 @@ fn of_reading(setup: &Setup, pass: &Pass, output: usize) -> Option<Sensitivity> 
     found.usable()
 }
 
-/// What one unit of a disturbance of a command adds to the innovations: root mean square over disturbed runs.
-fn of_command(
+/// Disturbs a command at random.
+type Change<'a> = dyn Fn(&Held, &mut ChaCha8Rng) -> Held + 'a;
+
+/// Mean square over disturbed runs of what a disturbance of a command adds to each whitened innovation; nothing where
+/// the runs do not predict the same readings.
+fn disturbances(
     setup: &Setup,
-    fit: &Fit,
-    noise: &Noise,
     input: usize,
-    segments: &[Segment],
+    change: &Change<'_>,
+    walked: &dyn Fn(&Setup) -> Pass,
     plain: &Pass,
-    change: &dyn Fn(&Held, &mut ChaCha8Rng) -> Held,
-    unit: f64,
-) -> Option<Sensitivity> {
+) -> Option<Vec<f64>> {
     let mut squares = vec![0.0; plain.readings()];
     for run in 0..RUNS {
         let mut random = ChaCha8Rng::seed_from_u64(run);
         let mut disturbed = setup.clone();
         disturbed.experiment.inputs[input] = change(&setup.experiment.inputs[input], &mut random);
-        let other = pass(&disturbed, fit, noise, segments);
+        let other = walked(&disturbed);
         if other.stamp != plain.stamp {
             return None;
         }
@@ -155,6 +159,11 @@ fn of_command(
             *square += (other.innovation[k] - plain.innovation[k]).powi(2) / plain.variance[k] / RUNS as f64;
         }
     }
+    Some(squares)
+}
+
+/// The same for one unit of the effect, smoothed over neighbours.
+fn of_command(plain: &Pass, squares: &[f64], unit: f64) -> Option<Sensitivity> {
     let size = (0..squares.len())
         .map(|k| {
             let around = &squares[k.saturating_sub(SMOOTH)..(k + SMOOTH + 1).min(squares.len())];
