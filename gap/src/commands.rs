@@ -74,7 +74,7 @@ pub fn taken<const N: usize>(plant: &Plant, extra: &[Dual<N>], output: usize, st
         match bound.effect {
             Effect::Delay => time -= own(),
             // The stamp is t (1 + skew).
-            Effect::ClockSkew => time = time / (own() + 1.0),
+            Effect::ClockSkew => time /= own() + 1.0,
             _ => {}
         }
     }

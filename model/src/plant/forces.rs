@@ -240,14 +240,15 @@ impl Plant {
         }
         // Gauss's elimination without pivots: the matrix is near the identity, and a pivot would be a branch.
         for i in 0..k {
-            for row in i + 1..k {
-                let factor = matrix[row][i] / matrix[i][i];
-                for column in i..k {
-                    let above = matrix[i][column];
-                    matrix[row][column] -= factor * above;
+            let (done, below) = matrix.split_at_mut(i + 1);
+            let pivot = &done[i];
+            for (row, line) in below.iter_mut().enumerate() {
+                let factor = line[i] / pivot[i];
+                for (entry, above) in line.iter_mut().zip(pivot).skip(i) {
+                    *entry -= factor * *above;
                 }
                 let above = right[i];
-                right[row] -= factor * above;
+                right[i + 1 + row] -= factor * above;
             }
         }
         for i in (0..k).rev() {
