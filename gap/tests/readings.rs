@@ -234,11 +234,13 @@ fn followed(seed: u64, most: f64, lost: f64) -> Vec<ReadingEffect> {
 }
 
 #[test]
-fn commands_that_scatter_or_are_lost_are_found() {
+fn commands_that_scatter_or_are_lost_leave_evidence() {
     for (most, lost) in [(0.02, 0.0), (0.0, 0.15)] {
         let effects = followed(3, most, lost);
-        let at_input = effects.iter().any(|e| e.place == "input:u" && e.significant);
-        assert!(at_input, "{most} {lost}: {effects:#?}");
+        // A mean delay goes with times that scatter, so the nominal mean is wrong here: evidence, but no verdict.
+        let at_input = effects.iter().filter(|e| e.place == "input:u").map(|e| e.evidence);
+        let best = at_input.fold(f64::INFINITY, f64::min);
+        assert!(best < -100.0, "{most} {lost}: {effects:#?}");
     }
     // The world of this test takes steps of a millisecond, within which commands already act.
     let effects = followed(4, 0.0, 0.0);
