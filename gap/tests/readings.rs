@@ -212,7 +212,7 @@ fn followed(seed: u64, most: f64, lost: f64) -> Vec<ReadingEffect> {
     let (mut y, mut at) = (0.0, 0);
     for k in 0..40_000 {
         let t = 1e-3 * f64::from(k);
-        while at + 1 < acted.times.len() && acted.times[at + 1] <= t {
+        while at + 1 < acted.times.len() && acted.times[at + 1] <= t + 1e-9 {
             at += 1;
         }
         if k % 10 == 0 {
@@ -242,7 +242,9 @@ fn commands_that_scatter_or_are_lost_leave_evidence() {
         let best = at_input.fold(f64::INFINITY, f64::min);
         assert!(best < -100.0, "{most} {lost}: {effects:#?}");
     }
-    // The world of this test takes steps of a millisecond, within which commands already act.
+    // Little scatter leaves the mean right, and is named.
+    let effects = followed(4, 0.002, 0.0);
+    assert!(significant(&effects).contains(&"jitter@input:u".to_owned()), "{effects:#?}");
     let effects = followed(4, 0.0, 0.0);
     assert!(significant(&effects).is_empty(), "{effects:#?}");
 }
