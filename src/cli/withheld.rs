@@ -1,0 +1,226 @@
+//! `parallax withheld`: the diagnosis against causes that it cannot see.
+//!
+//! A process of its own makes the cases and seals the answers; this one reads the case folders only. The answers are
+//! opened when every diagnosis is in, and only if they still have the hash that was printed first.
+
+mod baselines;
+mod case;
+mod family;
+mod judge;
+mod page;
+mod score;
+mod seal;
+mod statistics;
+pub(crate) mod truth;
+
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, anyhow};
+use clap::Args;
+
+use super::failure::{Failure, Outcome, Sort};
+use super::output;
+use case::{CaseResult, diagnose_case};
+use score::Scores;
+use truth::{CASES, Counts};
+
+/// Name of the command that makes the cases.
+pub(crate) const TRUTH_COMMAND: &str = "withheld-truth";
+
+#[derive(Args)]
+pub(crate) struct Arguments {
+    #[command(flatten)]
+    counts: Counts,
+    /// Seed of a run for development; without it a fresh seed is drawn, and the run may be reported.
+    #[arg(long, value_name = "SEED")]
+    dev_seed: Option<u64>,
+    /// The folder for cases, sealed answers and results.
+    #[arg(long, value_name = "DIR", default_value = "out/withheld")]
+    out: PathBuf,
+    /// Diagnose only every N-th case, from the I-th on; the shards share the folder and --resume.
+    #[arg(long, value_name = "I/N", default_value = "1/1")]
+    shard: Shard,
+    /// Go on with the run in the folder: cases that are in are not diagnosed again.
+    #[arg(long)]
+    resume: bool,
+    /// Try the other methods on the same cases as well.
+    #[arg(long)]
+    baselines: bool,
+    /// Print the scores as JSON.
+    #[arg(long)]
+    json: bool,
+    /// Write the scores as a page.
+    #[arg(long, value_name = "FILE")]
+    markdown: Option<PathBuf>,
+}
+
+/// One of several equal parts of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Shard {
+    index: usize,
+    count: usize,
+}
+
+impl std::str::FromStr for Shard {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parts = text.split_once('/').and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)));
+        match parts {
+            Some((index, count)) if 1 <= index && index <= count => Ok(Shard { index, count }),
+            _ => Err("it must look like I/N with I from 1 to N, such as 2/4".into()),
+        }
+    }
+}
+
+pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
+    let hash = sealed(arguments)?;
+    eprintln!("answers sealed, SHA-256 {hash}");
+    let folders = folders(&arguments.out.join(CASES))?;
+    diagnose_all(arguments, &folders)?;
+
+    let results = results(&arguments.out)?;
+    let missing = folders.iter().filter(|folder| !results.contains_key(&name(folder))).count();
+    if missing > 0 {
+        output::line(format!("{missing} of {} cases are not in yet; the answers stay sealed", folders.len()));
+        return Ok(Outcome::Done);
+    }
+    let answers = seal::open(&arguments.out, &hash).input()?;
+    let scores = Scores::of(&answers, &results, hash);
+    let text = serde_json::to_string_pretty(&scores).map_err(Failure::runtime)?;
+    save(&arguments.out.join("scores.json"), &text)?;
+    if let Some(path) = &arguments.markdown {
+        super::args::make_parent(path)?;
+        save(path, &page::markdown(&scores))?;
+    }
+    if arguments.json {
+        output::line(text)
+    } else {
+        page::print(&scores)
+    }
+    Ok(Outcome::Done)
+}
+
+/// Makes the cases in a process of its own, unless they are there already; gives the hash of their answers.
+fn sealed(arguments: &Arguments) -> Result<String, Failure> {
+    let found = seal::sealed_hash(&arguments.out).input()?;
+    match found {
+        Some(hash) if arguments.resume => return Ok(hash),
+        Some(_) => {
+            let out = arguments.out.display();
+            return Err(Failure::input(anyhow!(
+                "{out} holds a run already; go on with --resume, or name another --out"
+            )));
+        }
+        None => {}
+    }
+    let program = std::env::current_exe().runtime()?;
+    let mut command = Command::new(program);
+    command.arg(TRUTH_COMMAND).args(arguments.counts.arguments()).arg("--out").arg(&arguments.out);
+    if let Some(seed) = arguments.dev_seed {
+        command.arg("--dev-seed").arg(seed.to_string());
+    }
+    let status = command.stdout(Stdio::null()).status().runtime()?;
+    if !status.success() {
+        return Err(Failure::runtime(anyhow!("the process that makes the cases failed: {status}")));
+    }
+    seal::sealed_hash(&arguments.out)
+        .runtime()?
+        .ok_or_else(|| Failure::runtime(anyhow!("the process that makes the cases left no seal")))
+}
+
+/// The cases, in the order of their names.
+fn folders(cases: &Path) -> Result<Vec<PathBuf>, Failure> {
+    let entries = std::fs::read_dir(cases)
+        .with_context(|| format!("{} cannot be read", cases.display()))
+        .map_err(Failure::input)?;
+    let paths: Result<Vec<PathBuf>, std::io::Error> = entries.map(|entry| Ok(entry?.path())).collect();
+    let mut paths = paths.input()?;
+    paths.sort();
+    Ok(paths)
+}
+
+fn name(folder: &Path) -> String {
+    folder.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// Diagnoses the shard's cases that are not in yet. Each result is on disk before the next case begins.
+fn diagnose_all(arguments: &Arguments, folders: &[PathBuf]) -> Result<(), Failure> {
+    let Shard { index, count } = arguments.shard;
+    let done = results(&arguments.out)?;
+    let mine = folders.iter().enumerate().filter(|(k, _)| k % count == index - 1).map(|(_, folder)| folder);
+    let open: Vec<&PathBuf> = mine.filter(|folder| !done.contains_key(&name(folder))).collect();
+    let path = arguments.out.join(format!("results-{index}-of-{count}.jsonl"));
+    let mut file = std::fs::OpenOptions::new()
+        .create(true)
+        .append(true)
+        .open(&path)
+        .with_context(|| format!("{} cannot be written", path.display()))
+        .map_err(Failure::input)?;
+    let bar = output::progress("diagnosing", open.len() as u64);
+    for folder in open {
+        let result = diagnose_case(folder, arguments.baselines);
+        // A line break first: a line that an interruption cut short stays alone.
+        let line = serde_json::to_string(&result).map_err(Failure::runtime)?;
+        file.write_all(format!("\n{line}").as_bytes()).and_then(|()| file.flush()).runtime()?;
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    Ok(())
+}
+
+/// The results of all shards so far. A line that was cut short by an interruption counts as not there.
+fn results(out: &Path) -> Result<BTreeMap<String, CaseResult>, Failure> {
+    let mut all = BTreeMap::new();
+    let entries = std::fs::read_dir(out)
+        .with_context(|| format!("{} cannot be read", out.display()))
+        .map_err(Failure::input)?;
+    for entry in entries {
+        let path = entry.input()?.path();
+        if path.extension().is_none_or(|extension| extension != "jsonl") {
+            continue;
+        }
+        let text = std::fs::read_to_string(&path)
+            .with_context(|| format!("{} cannot be read", path.display()))
+            .map_err(Failure::input)?;
+        let lines = text.lines().filter_map(|line| serde_json::from_str::<CaseResult>(line).ok());
+        all.extend(lines.map(|result| (result.case.clone(), result)));
+    }
+    Ok(all)
+}
+
+fn save(path: &Path, text: &str) -> Result<(), Failure> {
+    std::fs::write(path, text)
+        .with_context(|| format!("{} cannot be written", path.display()))
+        .map_err(Failure::input)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shards_are_parts_of_a_whole() {
+        assert_eq!("2/3".parse(), Ok(Shard { index: 2, count: 3 }));
+        for text in ["0/3", "4/3", "1", "a/b", "1/0"] {
+            assert!(text.parse::<Shard>().is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_line_cut_short_is_diagnosed_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let line = |case: &str| {
+            serde_json::to_string(&CaseResult { case: case.into(), ..CaseResult::default() }).unwrap()
+        };
+        let cut = &line("b")[..20];
+        std::fs::write(folder.path().join("results-1-of-2.jsonl"), format!("\n{}\n{cut}", line("a")))
+            .unwrap();
+        std::fs::write(folder.path().join("results-2-of-2.jsonl"), format!("\n{}", line("c"))).unwrap();
+        let found = results(folder.path()).unwrap();
+        assert_eq!(found.keys().collect::<Vec<_>>(), ["a", "c"]);
+    }
+}

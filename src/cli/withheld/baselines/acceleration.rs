@@ -1,0 +1,61 @@
+//! Acceleration regression: states follow from the readings, their rates of change from differences, and every effect is
+//! fitted to what the nominal equations leave of those rates.
+
+use parallax_gap::filter::Noise;
+use parallax_gap::innovation::walk;
+use parallax_gap::library;
+use parallax_gap::setup::Setup;
+use parallax_gap::simulator::Simulator;
+use parallax_model::system::System;
+use parallax_runtime::recording::log::Log;
+
+use super::along::Along;
+use super::criterion::{Squares, rank};
+use super::{BaselineResult, setup};
+
+pub(super) fn answer(system: &System, log: &Log) -> anyhow::Result<BaselineResult> {
+    Ok(rank(&setup(system, log)?, error))
+}
+
+/// Errors of the rates of change between readings, in units of their natural sizes.
+fn error(setup: &Setup, simulator: &dyn Simulator, theta: &[f64]) -> Squares {
+    let p = simulator.parameters();
+    let mut squares = Squares::new(p);
+    let nominal = library::simulator(setup, &library::hypothesis(setup, &[]), Vec::new());
+    let stated: Vec<f64> = library::hypothesis(setup, &[]).fitted.iter().map(|f| f.null).collect();
+    // So much process noise that the readings lead: what the filter says is the readings' derivative.
+    let loud = Noise { log_process: 0.0, ..setup.noise.initial.clone() };
+    let mut run = simulator.run(theta);
+    for segment in &setup.train {
+        let pass = walk(&nominal, std::slice::from_ref(segment), &setup.noise, &loud, &stated);
+        let n = nominal.states();
+        let mut along = Along::new(simulator.start(&segment.state, &segment.std, segment.from).0, p);
+        let at = |stamp: f64| run.events().partition_point(|event| event.time < stamp - 1e-9);
+        let places: Vec<usize> = pass.stamp.iter().map(|stamp| at(*stamp)).collect();
+        let mut from = 0;
+        for to in 1..pass.stamp.len() {
+            let dt = pass.stamp[to] - pass.stamp[from];
+            // Readings of several outputs at one time are one state; stretches of the walk do not join.
+            if dt < 0.9 * setup.period || dt > 3.0 * setup.period {
+                if dt < 0.0 || dt > 3.0 * setup.period {
+                    from = to;
+                }
+                continue;
+            }
+            along.set(&pass.state[from * n..(from + 1) * n]);
+            for index in places[from]..places[to] {
+                along.advance(&mut *run, index);
+            }
+            for (state, scale) in setup.noise.scale.iter().enumerate().filter(|(_, scale)| **scale > 0.0) {
+                let unit = dt * scale;
+                let off = (pass.state[to * n + state] - along.x[state]) / unit;
+                let slope: Vec<f64> = (0..p).map(|j| -along.slope(state, j) / unit).collect();
+                if off.is_finite() && slope.iter().all(|s| s.is_finite()) {
+                    squares.add(off, &slope);
+                }
+            }
+            from = to;
+        }
+    }
+    squares
+}

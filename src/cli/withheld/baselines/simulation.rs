@@ -1,0 +1,48 @@
+//! Full-simulation error and BIC: every effect is fitted to the whole recording, simulated from its first state.
+
+use parallax_gap::setup::Setup;
+use parallax_gap::simulator::{Prediction, Simulator, wrapped};
+use parallax_model::system::System;
+use parallax_runtime::recording::log::Log;
+
+use super::along::Along;
+use super::criterion::{Squares, rank};
+use super::{BaselineResult, setup};
+
+/// Residual of a simulation that runs away, in noise units.
+const RUNAWAY: f64 = 1e6;
+
+pub(super) fn answer(system: &System, log: &Log) -> anyhow::Result<BaselineResult> {
+    Ok(rank(&setup(system, log)?, error))
+}
+
+/// The errors of one simulation over the whole recording, in noise units.
+fn error(setup: &Setup, simulator: &dyn Simulator, theta: &[f64]) -> Squares {
+    let p = simulator.parameters();
+    let mut squares = Squares::new(p);
+    let Some(first) = setup.train.first() else { return squares };
+    let mut run = simulator.run(theta);
+    let count = run.events().len();
+    let begin = run.events().iter().position(|event| event.time >= first.from).unwrap_or(0);
+    let mut along = Along::new(simulator.start(&first.state, &first.std, first.from).0, p);
+    let mut prediction = Prediction::default();
+    for index in begin..count {
+        if let Some(reading) = run.events()[index].reading {
+            run.observe(index, &along.x, &mut prediction);
+            let unit = setup.output_noise[reading.output];
+            let off = wrapped(reading.value - prediction.value, run.wrap(reading.output)) / unit;
+            let astray = !(off.is_finite() && off.abs() < RUNAWAY);
+            let slope: Vec<f64> = (0..p)
+                .map(|j| {
+                    let total = along.through(&prediction.by_state, j) + prediction.by_parameter[j];
+                    if astray || !total.is_finite() { 0.0 } else { -total / unit }
+                })
+                .collect();
+            squares.add(if astray { RUNAWAY } else { off }, &slope);
+        }
+        if index + 1 < count {
+            along.advance(&mut *run, index);
+        }
+    }
+    squares
+}

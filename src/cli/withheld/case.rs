@@ -1,0 +1,167 @@
+//! One case: its folder is diagnosed as `parallax diagnose --system FOLDER/system.toml FOLDER` would, and what came out is
+//! kept as one line of JSON.
+
+use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+use std::time::Instant;
+
+use anyhow::{Context, anyhow};
+use parallax_gap::diagnosis::{Options, diagnose};
+use parallax_gap::options::Pattern;
+use parallax_gap::report::Report;
+use parallax_model::system::System;
+use parallax_runtime::import::{self, read_system_text};
+use parallax_runtime::recording::log::Log;
+use serde::{Deserialize, Serialize};
+
+use super::baselines::{self, BaselineResult};
+use super::truth::{CaseOptions, OPTIONS};
+
+/// What the diagnosis said of one case.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct CaseResult {
+    /// The case's name.
+    pub(crate) case: String,
+    /// How long the diagnosis took (s).
+    pub(crate) seconds: f64,
+    /// The diagnosis, if there was one.
+    pub(crate) found: Option<Finding>,
+    /// Why there was none.
+    pub(crate) error: Option<String>,
+    /// What the baselines said, by name.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub(crate) baselines: BTreeMap<String, BaselineResult>,
+}
+
+/// The part of a report that is scored. Numbers that are not finite are absent.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Finding {
+    /// Whether a gap was detected.
+    pub(crate) detected: bool,
+    /// Named answers by probability.
+    pub(crate) answers: Vec<NamedAnswer>,
+    /// Probability of "no gap".
+    pub(crate) no_gap: f64,
+    /// Probability that no named effect belongs to the cause.
+    pub(crate) unexplained: f64,
+    /// Share of the gap beyond the best named answer that a flexible residual closes.
+    pub(crate) unexplained_share: f64,
+    /// The most probable place.
+    pub(crate) place: Option<String>,
+    /// Share of the refitted held-out gap that the answer closes.
+    pub(crate) closed: Option<f64>,
+    /// Share of the nominal held-out gap that the answer closes, calibration included.
+    #[serde(default)]
+    pub(crate) closed_total: Option<f64>,
+}
+
+/// One answer of a diagnosis.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct NamedAnswer {
+    /// The effects.
+    pub(crate) effects: Vec<NamedEffect>,
+    /// Its probability.
+    pub(crate) probability: f64,
+}
+
+/// An effect of an answer.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct NamedEffect {
+    /// Its name and place, `coulomb@joint:axis`.
+    pub(crate) label: String,
+    /// Estimate and standard deviation of each parameter.
+    pub(crate) parameters: BTreeMap<String, (f64, Option<f64>)>,
+}
+
+/// Diagnoses the case in `folder`; a failure, a panic included, is a result as well.
+pub(crate) fn diagnose_case(folder: &Path, with_baselines: bool) -> CaseResult {
+    let case = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let start = Instant::now();
+    let result = guarded(|| {
+        let (system, log, options) = read(folder)?;
+        Ok(diagnose(&system, &log, &options, &|_, _| ())?.report)
+    });
+    let seconds = start.elapsed().as_secs_f64();
+    let mut out = CaseResult { case, seconds, ..CaseResult::default() };
+    match result {
+        Ok(report) => out.found = Some(Finding::of(&report)),
+        Err(error) => out.error = Some(format!("{error:#}")),
+    }
+    if with_baselines && let Ok((system, log, _)) = read(folder) {
+        for (name, baseline) in baselines::ALL {
+            let start = Instant::now();
+            let mut result = guarded(|| baseline(&system, &log)).unwrap_or_else(|error| BaselineResult {
+                error: Some(format!("{error:#}")),
+                ..Default::default()
+            });
+            result.seconds = start.elapsed().as_secs_f64();
+            out.baselines.insert((*name).to_owned(), result);
+        }
+    }
+    out
+}
+
+/// What the case tells: its system, its recording and its options.
+fn read(folder: &Path) -> anyhow::Result<(System, Log, Options)> {
+    let log = import::folder(folder)?;
+    let (_, system) = read_system_text(&folder.join("system.toml"))?;
+    let signals: Vec<(&str, &str)> = log.signals.iter().map(|s| (s.name.as_str(), s.unit.as_str())).collect();
+    system.check_signals(&signals)?;
+    let path = folder.join(OPTIONS);
+    let text = std::fs::read_to_string(&path).with_context(|| path.display().to_string())?;
+    let stated: CaseOptions = serde_json::from_str(&text).with_context(|| path.display().to_string())?;
+    let exclude: Result<Vec<Pattern>, _> = stated.exclude.iter().map(|pattern| pattern.parse()).collect();
+    Ok((system, log, Options { exclude: exclude?, ..Options::default() }))
+}
+
+/// Runs `work`; a panic becomes an error.
+fn guarded<T>(work: impl FnOnce() -> anyhow::Result<T>) -> anyhow::Result<T> {
+    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|cause| {
+        let said =
+            cause.downcast_ref::<String>().map(String::as_str).or(cause.downcast_ref::<&str>().copied());
+        Err(anyhow!("it panicked: {}", said.unwrap_or("no message")))
+    })
+}
+
+impl Finding {
+    /// What is scored of a report.
+    fn of(report: &Report) -> Self {
+        let finite = |value: f64| if value.is_finite() { value } else { 0.0 };
+        let named = report.which.iter().filter(|answer| !answer.effects.is_empty());
+        Finding {
+            detected: report.gap.detected,
+            answers: named
+                .map(|answer| NamedAnswer {
+                    effects: answer
+                        .effects
+                        .iter()
+                        .map(|effect| NamedEffect {
+                            label: format!("{}@{}", effect.name, effect.place),
+                            parameters: effect
+                                .parameters
+                                .iter()
+                                .filter(|(_, value)| value.value.is_finite())
+                                .map(|(name, v)| {
+                                    (name.clone(), (v.value, v.std.is_finite().then_some(v.std)))
+                                })
+                                .collect(),
+                        })
+                        .collect(),
+                    probability: finite(answer.probability),
+                })
+                .collect(),
+            no_gap: report
+                .which
+                .iter()
+                .filter(|answer| answer.effects.is_empty())
+                .map(|answer| finite(answer.probability))
+                .sum(),
+            unexplained: finite(report.unexplained.probability),
+            unexplained_share: finite(report.unexplained.share),
+            place: report.where_.first().map(|place| place.place.clone()),
+            closed: Some(report.how_far.closed_by_effect.value).filter(|value| value.is_finite()),
+            closed_total: Some(report.how_far.closed_total.value).filter(|value| value.is_finite()),
+        }
+    }
+}

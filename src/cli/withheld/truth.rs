@@ -1,0 +1,216 @@
+//! `parallax withheld-truth`: the process that makes the cases and seals their answers. It is the only one that sees both.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use clap::Args;
+use parallax_withheld_truth::{Answer, Plan, Set, plans, write};
+use rand::seq::SliceRandom;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::seal::{Answers, Sealed, seal};
+use crate::cli::failure::{Failure, Outcome, Sort};
+use crate::cli::output;
+
+/// The folder of the cases in a run's folder.
+pub(crate) const CASES: &str = "cases";
+
+/// What a case tells the diagnosis beside its recording.
+pub(crate) const OPTIONS: &str = "options.json";
+
+/// How many cases of each set.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct Counts {
+    /// Cases of one effect.
+    #[arg(long, value_name = "N", default_value_t = 300)]
+    singles: usize,
+    /// Cases without an effect.
+    #[arg(long, value_name = "N", default_value_t = 200)]
+    nulls: usize,
+    /// Cases of one effect in a form that the library lacks.
+    #[arg(long, value_name = "N", default_value_t = 60)]
+    other_form: usize,
+    /// Cases of two effects.
+    #[arg(long, value_name = "N", default_value_t = 60)]
+    pairs: usize,
+    /// Cases whose cause is outside the library.
+    #[arg(long, value_name = "N", default_value_t = 60)]
+    outside: usize,
+    /// Cases of one effect under poor excitation.
+    #[arg(long, value_name = "N", default_value_t = 40)]
+    poor: usize,
+    /// Cases of one effect in six seconds.
+    #[arg(long, value_name = "N", default_value_t = 40)]
+    short: usize,
+    /// Cases of one effect that the diagnosis must leave out of its library.
+    #[arg(long, value_name = "N", default_value_t = 40)]
+    leave_out: usize,
+}
+
+impl Counts {
+    /// The same counts as arguments of the truth's process.
+    pub(crate) fn arguments(&self) -> Vec<String> {
+        let counts = [
+            ("--singles", self.singles),
+            ("--nulls", self.nulls),
+            ("--other-form", self.other_form),
+            ("--pairs", self.pairs),
+            ("--outside", self.outside),
+            ("--poor", self.poor),
+            ("--short", self.short),
+            ("--leave-out", self.leave_out),
+        ];
+        counts.iter().flat_map(|(name, count)| [(*name).to_owned(), count.to_string()]).collect()
+    }
+
+    /// Every set with its count, and whether the true effect is left out of the library.
+    fn sets(&self) -> [(Set, usize, bool); 8] {
+        [
+            (Set::Single, self.singles, false),
+            (Set::Null, self.nulls, false),
+            (Set::OtherForm, self.other_form, false),
+            (Set::Pair, self.pairs, false),
+            (Set::Outside, self.outside, false),
+            (Set::PoorExcitation, self.poor, false),
+            (Set::Short, self.short, false),
+            (Set::Single, self.leave_out, true),
+        ]
+    }
+}
+
+#[derive(Args)]
+pub(crate) struct Arguments {
+    #[command(flatten)]
+    counts: Counts,
+    /// The seed, from the stream for development; without it one is drawn from the system's randomness.
+    #[arg(long, value_name = "SEED")]
+    dev_seed: Option<u64>,
+    /// The run's folder.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+}
+
+/// What the diagnosis of a case is told.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct CaseOptions {
+    /// Effects left out of the library.
+    pub(crate) exclude: Vec<String>,
+}
+
+/// Seeds of reported runs have this bit; seeds for development do not. So no case is in both.
+const REPORTED: u64 = 1 << 63;
+
+/// The seed of a run: one for development if it is stated, else a fresh one.
+fn draw_seed(development: Option<u64>) -> u64 {
+    match development {
+        Some(seed) => seed & !REPORTED,
+        None => rand::rng().random::<u64>() | REPORTED,
+    }
+}
+
+pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
+    let seed = draw_seed(arguments.dev_seed);
+    let cases = arguments.out.join(CASES);
+    std::fs::create_dir_all(&cases)
+        .with_context(|| format!("the folder {} cannot be made", cases.display()))
+        .map_err(Failure::input)?;
+    let drafts = drafts(&arguments.counts, seed);
+    let bar = output::progress("making cases", drafts.len() as u64);
+    let made: Result<BTreeMap<String, Sealed>, Failure> = drafts
+        .par_iter()
+        .map(|draft| {
+            let answer = draft.make(&cases.join(&draft.name))?;
+            bar.inc(1);
+            Ok((draft.name.clone(), Sealed { answer, left_out: draft.left_out }))
+        })
+        .collect();
+    bar.finish_and_clear();
+    let answers = Answers { seed, development: arguments.dev_seed.is_some(), cases: made? };
+    output::line(seal(&arguments.out, &answers).runtime()?);
+    Ok(Outcome::Done)
+}
+
+/// A case before it is made.
+struct Draft {
+    name: String,
+    plan: Plan,
+    seed: u64,
+    left_out: bool,
+}
+
+/// All cases of a run under names that say nothing: in the order of the names, sets are mixed.
+fn drafts(counts: &Counts, seed: u64) -> Vec<Draft> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut drafts = Vec::new();
+    for (set, count, left_out) in counts.sets() {
+        // Each set has a seed of its own, so that its cases do not depend on how many others there are.
+        let own = random.random();
+        let mut seeds = ChaCha8Rng::seed_from_u64(own);
+        for plan in plans(set, count, own) {
+            let seed = (seeds.random::<u64>() & !REPORTED) | (seed & REPORTED);
+            drafts.push(Draft { name: String::new(), plan, seed, left_out });
+        }
+    }
+    let mut names: Vec<u32> = (0..drafts.len() as u32).collect();
+    let offset = random.random_range(0..0x1000_0000_u32);
+    names.shuffle(&mut random);
+    for (draft, name) in drafts.iter_mut().zip(names) {
+        // An odd factor maps different numbers to different names.
+        draft.name = format!("{:08x}", (name + offset).wrapping_mul(0x9e37_79b1));
+    }
+    drafts
+}
+
+impl Draft {
+    fn make(&self, folder: &Path) -> Result<Answer, Failure> {
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("the folder {} cannot be made", folder.display()))
+            .map_err(Failure::runtime)?;
+        let answer = write(&self.plan, self.seed, folder).runtime()?;
+        let mut exclude = Vec::new();
+        if self.left_out {
+            exclude.extend(answer.effects.iter().map(|effect| effect.name.clone()));
+        }
+        let text = serde_json::to_string(&CaseOptions { exclude }).map_err(Failure::runtime)?;
+        std::fs::write(folder.join(OPTIONS), text).map_err(Failure::runtime)?;
+        Ok(answer)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn development_and_reported_seeds_never_meet() {
+        for seed in [0, 1, u64::MAX, REPORTED] {
+            assert_eq!(draw_seed(Some(seed)) & REPORTED, 0);
+        }
+        assert_eq!(draw_seed(None) & REPORTED, REPORTED);
+        assert_ne!(draw_seed(None), draw_seed(None), "reported seeds are drawn anew");
+        let counts = Counts {
+            singles: 5,
+            nulls: 5,
+            other_form: 1,
+            pairs: 1,
+            outside: 1,
+            poor: 1,
+            short: 1,
+            leave_out: 2,
+        };
+        for run in [3, 3 | REPORTED] {
+            let drafts = drafts(&counts, run);
+            assert!(drafts.iter().all(|draft| draft.seed & REPORTED == run & REPORTED));
+            let names: BTreeSet<&str> = drafts.iter().map(|draft| draft.name.as_str()).collect();
+            assert_eq!(names.len(), drafts.len(), "names differ");
+            assert_eq!(drafts.iter().filter(|draft| draft.left_out).count(), 2);
+            let seeds: BTreeSet<u64> = drafts.iter().map(|draft| draft.seed).collect();
+            assert_eq!(seeds.len(), drafts.len(), "seeds differ");
+        }
+    }
+}
