@@ -32,7 +32,8 @@ fn main() {
             diagnose(&system, &log, &Options::default(), &watch)
         }
         _ => {
-            let equations = System::parse(SYSTEM, "pendulum.toml").expect("valid").equations().expect("complete");
+            let equations =
+                System::parse(SYSTEM, "pendulum.toml").expect("valid").equations().expect("complete");
             let hidden = Hidden { forward: 0.03, backward: 0.03, ..Hidden::default() };
             let experiment = record(hidden, 7, 20.0);
             diagnose_experiment(equations, experiment, "pendulum", &Options::default(), &watch)

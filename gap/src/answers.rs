@@ -25,10 +25,13 @@ pub(crate) fn fitted_effects(setup: &Setup, fit: &Fit) -> Vec<FittedEffect> {
             let own: Vec<usize> = fitted
                 .filter(|(_, f)| match f.slot {
                     Slot::Effect { effect, .. } => effect == e,
-                    Slot::Nominal(index) => {
-                        at.effect == Effect::Parameter
-                            && library::place_index(setup, &at.place) == Some(index)
-                    }
+                    Slot::Nominal(index) => match library::owner(setup.equations.system(), index) {
+                        Some(own) => own.effect == at.effect,
+                        None => {
+                            at.effect == Effect::Parameter
+                                && library::place_index(setup, &at.place) == Some(index)
+                        }
+                    },
                     Slot::Weight(_) => false,
                 })
                 .map(|(k, _)| k)
@@ -117,13 +120,12 @@ pub(crate) fn places(posterior: &posterior::Posterior, readings: &[ReadingEffect
 pub(crate) fn corrected_effects(effects: &[FittedEffect]) -> Vec<EffectEntry> {
     effects
         .iter()
-        .cloned()
         // A parameter with another value is written as that value.
-        .filter(|e| e.name != Effect::Parameter.name())
+        .filter(|e| e.name != Effect::Parameter.name() && Effect::from_name(&e.name).is_some())
         .map(|e| EffectEntry {
-            name: e.name,
-            place: e.place,
-            parameters: e.parameters.into_iter().map(|(name, v)| (name, v.value)).collect(),
+            name: e.name.clone(),
+            place: e.place.clone(),
+            parameters: e.parameters.iter().map(|(name, v)| (name.clone(), v.value)).collect(),
             line: 0,
         })
         .collect()

@@ -18,6 +18,8 @@ const CLOSED: f64 = 0.4;
 pub struct Judge {
     independence: f64,
     exact: bool,
+    /// Whether states beyond the nominal ones are believed no further than the filter carries them.
+    bounded: bool,
     /// What the null model costs by windows and by innovations, and how many states it has.
     null: (f64, f64, usize),
 }
@@ -34,6 +36,8 @@ impl Judge {
         Judge {
             independence: best.independence,
             exact: best.shooting_error <= INEXACT,
+            // Where some hypothesis reaches the noise and the null does not, there is nothing else left to follow.
+            bounded: best.shooting_error > INEXACT || null.shooting_error <= INEXACT,
             null: (null.shooting_cost, null.innovation.evidence_cost, null.innovation.pass.states()),
         }
     }
@@ -61,7 +65,7 @@ impl Judge {
         let mut windows = fit.shooting_cost;
         // States beyond the nominal ones are free in each window, and may follow there what the hypothesis does not
         // explain. The filter carries them from window to window: its gain bounds what is believed of the windows'.
-        if fit.innovation.pass.states() > states {
+        if self.bounded && fit.innovation.pass.states() > states {
             windows = windows.max(null_windows + innovations - null_innovations);
         }
         let windows = self.independence * windows;

@@ -163,6 +163,7 @@ pub fn weigh(
         let mut class: Vec<usize> = (first..fits.len())
             .filter(|&k| {
                 let near = judge.cost(&fits[k]) - judge.cost(&fits[first]) < DECISIVE;
+                let near = near || gives_way(&fits[first], &fits[k]);
                 let effects = |k: usize| fits[k].hypothesis.effects.len();
                 !taken[k]
                     && effects(k) == effects(first)
@@ -213,6 +214,24 @@ fn best_forms(fits: &mut Vec<Fit>) -> Vec<f64> {
     forms
 }
 
+/// Whether a parameter of an effect does not differ from its null: it speaks for a form without it.
+fn has_spare(fit: &Fit) -> bool {
+    let fitted = fit.hypothesis.fitted.iter().zip(fit.estimate()).zip(fit.std());
+    fitted
+        .filter(|((f, _), _)| matches!(f.slot, Slot::Effect { .. }))
+        .any(|((f, value), std)| (value - f.null).abs() < SIGNIFICANT * std)
+}
+
+/// Whether an effect has a parameter to spare and contains a simpler one at the same place.
+fn gives_way(fit: &Fit, to: &Fit) -> bool {
+    match (&fit.hypothesis.effects[..], &to.hypothesis.effects[..]) {
+        ([own], [other]) => {
+            own.place == other.place && own.effect.simpler().contains(&other.effect) && has_spare(fit)
+        }
+        _ => false,
+    }
+}
+
 /// Puts the member to be named first: the simplest of those that the evidence does not tell apart from the best. One
 /// with fewer parameters may be a little worse; of equally simple ones the first in the library's order, which puts
 /// commands before readings, only where the evidence is truly even.
@@ -222,14 +241,7 @@ fn lead_with_the_simplest(class: &mut [usize], fits: &[Fit], judge: &Judge) {
         return;
     };
     let size = |k: usize| fits[k].hypothesis.fitted.len();
-    // A parameter that does not differ from its null speaks for a form without it.
-    let spare = {
-        let (fit, std) = (&fits[best], fits[best].std());
-        let fitted = fit.hypothesis.fitted.iter().zip(fit.estimate()).zip(std);
-        fitted
-            .filter(|((f, _), _)| matches!(f.slot, Slot::Effect { .. }))
-            .any(|((f, value), std)| (value - f.null).abs() < SIGNIFICANT * std)
-    };
+    let spare = has_spare(&fits[best]);
     let eligible = |k: usize| {
         let worse = judge.cost(&fits[k]) - judge.cost(&fits[best]);
         worse < EVEN || (size(k) < size(best) && (worse < EQUAL || spare))

@@ -116,9 +116,7 @@ pub fn columns(setup: &Setup, null: &Fit, effect: &crate::hypothesis::EffectAt) 
         .fitted
         .iter()
         .enumerate()
-        .filter(|(_, f)| {
-            hypothesis.frees(f.slot) || !null.hypothesis.fitted.iter().any(|n| n.slot == f.slot)
-        })
+        .filter(|(_, f)| hypothesis.frees(f.slot) || !null.hypothesis.fitted.iter().any(|n| n.slot == f.slot))
         .map(|(j, f)| all.column(j) * f.scale)
         .collect();
     if own.is_empty() { DMatrix::zeros(pass.readings(), 0) } else { DMatrix::from_columns(&own) }

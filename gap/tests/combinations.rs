@@ -28,7 +28,8 @@ fn dry_friction_beside_a_late_command() {
     // The world's friction holds entirely at rest, where ours is smoothed: the form that rises there may be nearer.
     assert!(names == ["coulomb", "delay"] || names == ["delay", "stribeck"], "{}", report.summary);
     let value = |place: &str, parameter: &str| {
-        let effect = report.which[0].effects.iter().find(|e| e.place.starts_with(place)).expect("it is there");
+        let effect =
+            report.which[0].effects.iter().find(|e| e.place.starts_with(place)).expect("it is there");
         effect.parameters[parameter].value
     };
     let force = if names[0] == "coulomb" { "force" } else { "coulomb" };

@@ -172,7 +172,7 @@ pub(crate) fn record(hidden: Hidden, seed: u64, duration: f64) -> Experiment {
         torque += hidden.poles.0 * (hidden.poles.1 * q + 0.6).sin();
         torque -= hidden.spring.0 * (q - hidden.spring.1);
         torque += hidden.vibration.0 * (std::f64::consts::TAU * hidden.vibration.1 * t + 0.9).sin();
-        bristle = (bristle + h * w).max(-0.2).min(0.2);
+        bristle = (bristle + h * w).clamp(-0.2, 0.2);
         torque -= hidden.bristle * bristle;
         if hidden.wall > 0.0 && q > 0.8 {
             torque -= hidden.wall * (q - 0.8);
