@@ -1,0 +1,145 @@
+//! One case: a machine with real parameters, a cause or none, and what was recorded of it.
+
+use crate::channel::{Channel, scatter, show};
+use crate::drive::{command, excitation};
+use crate::effect::{Cause, uniform};
+use crate::mechanics::{H, Machine};
+use crate::system::{N, State, System};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+/// Everything about a case but its noise.
+pub(crate) struct Case {
+    pub(crate) system: &'static System,
+    pub(crate) causes: Vec<Cause>,
+    pub(crate) duration: f64,
+    pub(crate) poor: bool,
+    pub(crate) seed: u64,
+}
+
+/// A run: commands and readings as recorded, and the truth behind them.
+pub(crate) struct Run {
+    pub(crate) parameters: Vec<f64>,
+    pub(crate) noise: Vec<f64>,
+    pub(crate) declared: bool,
+    pub(crate) commands: Vec<[f64; N]>,
+    pub(crate) readings: Vec<Vec<(f64, f64)>>,
+    pub(crate) states: Vec<State>,
+}
+
+/// A stream of random numbers of its own for every purpose, so that a cause does not move the others' numbers.
+pub(crate) fn stream(seed: u64, purpose: u64) -> ChaCha8Rng {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    rng.set_stream(purpose);
+    rng
+}
+
+/// Real noise of every sensor.
+pub(crate) fn noises(system: &System, seed: u64) -> Vec<f64> {
+    let mut rng = stream(seed, 1);
+    system
+        .outputs
+        .iter()
+        .map(|o| o.noise.0 * (o.noise.1 / o.noise.0).powf(uniform(&mut rng, 0.0, 1.0)))
+        .collect()
+}
+
+fn real(system: &System, seed: u64) -> Vec<f64> {
+    let mut rng = stream(seed, 2);
+    let draw = |p: &crate::system::Parameter| {
+        let off = uniform(&mut rng, -p.spread, p.spread);
+        let value = if p.value == 0.0 { off } else { p.value * (1.0 + off) };
+        p.bounds.map_or(value, |(low, high)| value.clamp(low, high))
+    };
+    system.parameters.iter().map(draw).collect()
+}
+
+/// What a sensor of the machine would show without any fault.
+pub(crate) fn reading(system: &System, output: usize, s: &State) -> f64 {
+    let of = system.outputs[output].of;
+    if of < system.joints.len() { s.q[of] } else { s.x[of - system.joints.len()] }
+}
+
+impl Case {
+    pub(crate) fn run(&self) -> Run {
+        let system = self.system;
+        let parameters = real(system, self.seed);
+        let machine = Machine::new(system, &parameters, &self.causes);
+        let wishes: Vec<Vec<f64>> = (0..system.inputs.len())
+            .map(|i| excitation(system, i, self.duration, self.poor, &mut stream(self.seed, 10 + i as u64)))
+            .collect();
+        let mut channels = self.channels();
+        let mut s = State::default();
+        if system.extras == 3 {
+            s.x[2] = system.inputs[0].rest / 15.47;
+        }
+        let mut hidden = machine.hidden();
+        let every = (1.0 / system.command_rate / H).round() as usize;
+        let steps = (self.duration / H).round() as usize;
+        let mut commands = Vec::new();
+        let mut states = Vec::with_capacity(steps);
+        for i in 0..steps {
+            let t = i as f64 * H;
+            if i % every == 0 {
+                let k = i / every;
+                let wish = std::array::from_fn(|j| wishes.get(j).map_or(0.0, |w| w[k]));
+                let u = command(system, &wish, &s);
+                for (channel, u) in channels.iter_mut().zip(u) {
+                    channel.send(t, u);
+                }
+                commands.push(u);
+            }
+            states.push(s);
+            let mut u = [0.0; N];
+            for (u, channel) in u.iter_mut().zip(&mut channels) {
+                *u = channel.act(t);
+            }
+            machine.step(&mut s, &mut hidden, &u, t);
+        }
+        let noise = noises(system, self.seed);
+        let readings = (0..system.outputs.len())
+            .map(|o| {
+                let mut shown = self.shown(o, &states, &self.causes);
+                let mut rngs = [stream(self.seed, 30 + o as u64), stream(self.seed, 40 + o as u64)];
+                scatter(&self.causes, o, &mut shown, noise[o], &mut rngs);
+                shown
+            })
+            .collect();
+        let declared = uniform(&mut stream(self.seed, 3), 0.0, 1.0) < 0.5;
+        Run { parameters, noise, declared, commands, readings, states }
+    }
+
+    fn channels(&self) -> Vec<Channel> {
+        let one = |i: usize| {
+            Channel::new(&self.causes, i, self.system.inputs[i].rest, stream(self.seed, 20 + i as u64))
+        };
+        (0..self.system.inputs.len()).map(one).collect()
+    }
+
+    /// What the sensor shows before noise.
+    pub(crate) fn shown(&self, output: usize, states: &[State], causes: &[Cause]) -> Vec<(f64, f64)> {
+        let truth: Vec<f64> = states.iter().map(|s| reading(self.system, output, s)).collect();
+        let every = (1.0 / self.system.sample_rate / H).round() as usize;
+        show(causes, output, &truth, every, &mut stream(self.seed, 50 + output as u64))
+    }
+
+    /// What acts on the machine in every step when these commands are played open loop.
+    pub(crate) fn acting(&self, commands: &[[f64; N]], steps: usize, causes: &[Cause]) -> Vec<[f64; N]> {
+        let other = Self { system: self.system, causes: causes.to_vec(), ..*self };
+        let mut channels = other.channels();
+        let every = (1.0 / self.system.command_rate / H).round() as usize;
+        (0..steps)
+            .map(|i| {
+                let t = i as f64 * H;
+                let mut u = [0.0; N];
+                for (j, channel) in channels.iter_mut().enumerate() {
+                    if i % every == 0 {
+                        channel.send(t, commands[i / every][j]);
+                    }
+                    u[j] = channel.act(t);
+                }
+                u
+            })
+            .collect()
+    }
+}
