@@ -32,15 +32,22 @@ pub(crate) struct BaselineResult {
     pub(crate) error: Option<String>,
 }
 
-/// A method.
-type Baseline = fn(&System, &Log) -> anyhow::Result<BaselineResult>;
+/// Another method.
+pub(crate) struct Baseline {
+    /// Its name in the results.
+    pub(crate) name: &'static str,
+    /// Whether it names effects; one that does not is scored by the gap that it closes.
+    pub(crate) names: bool,
+    /// What it says of a case.
+    pub(crate) answer: fn(&System, &Log) -> anyhow::Result<BaselineResult>,
+}
 
-/// All methods by name.
-pub(crate) const ALL: &[(&str, Baseline)] = &[
-    ("full simulation error and BIC", simulation::answer),
-    ("acceleration regression and BIC", acceleration::answer),
-    ("nominal refit only", refit::answer),
-    ("black-box residual", residual::answer),
+/// All methods.
+pub(crate) const ALL: [Baseline; 4] = [
+    Baseline { name: "full simulation error and BIC", names: true, answer: simulation::answer },
+    Baseline { name: "acceleration regression and BIC", names: true, answer: acceleration::answer },
+    Baseline { name: "nominal refit only", names: false, answer: refit::answer },
+    Baseline { name: "black-box residual", names: false, answer: residual::answer },
 ];
 
 /// The system bound to the recording, as the diagnosis begins.

@@ -138,7 +138,7 @@ fn parameters_gap_and_time_by_hand() {
     let scores = run();
     // Only where the effect itself leads: 1.1 ± 0.1 for 1.
     check(&scores, "parameter error, median", 0.1, 1);
-    check(&scores, "95 % intervals cover", 1.0, 1);
+    check(&scores, "coverage of 95 % intervals", 1.0, 1);
     // Three detectable: 0.9, 0.9, and nothing where the diagnosis failed.
     check(&scores, "held-out gap closed, median, detectable", 0.9, 3);
     check(&scores, "held-out gap closed, 10th percentile, detectable", 0.18, 3);

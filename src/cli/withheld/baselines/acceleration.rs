@@ -10,11 +10,11 @@ use parallax_model::system::System;
 use parallax_runtime::recording::log::Log;
 
 use super::along::Along;
-use super::criterion::{Squares, rank};
+use super::criterion::{Method, Squares, rank};
 use super::{BaselineResult, setup};
 
 pub(super) fn answer(system: &System, log: &Log) -> anyhow::Result<BaselineResult> {
-    Ok(rank(&setup(system, log)?, error))
+    Ok(rank(&setup(system, log)?, &Method { nuisances: |_| Vec::new(), residuals: error }))
 }
 
 /// Errors of the rates of change between readings, in units of their natural sizes.
@@ -29,7 +29,7 @@ fn error(setup: &Setup, simulator: &dyn Simulator, theta: &[f64]) -> Squares {
     for segment in &setup.train {
         let pass = walk(&nominal, std::slice::from_ref(segment), &setup.noise, &loud, &stated);
         let n = nominal.states();
-        let mut along = Along::new(simulator.start(&segment.state, &segment.std, segment.from).0, p);
+        let mut along = Along::new(simulator.start(&segment.state, &segment.std, segment.from).0, p, 0);
         let at = |stamp: f64| run.events().partition_point(|event| event.time < stamp - 1e-9);
         let places: Vec<usize> = pass.stamp.iter().map(|stamp| at(*stamp)).collect();
         let mut from = 0;

@@ -13,9 +13,15 @@ pub(super) struct Along {
 }
 
 impl Along {
-    /// A state that does not depend on θ.
-    pub(super) fn new(x: Vec<f64>, parameters: usize) -> Self {
-        Along { by: vec![0.0; x.len() * parameters], x, parameters, transition: Transition::default() }
+    /// A state that does not depend on the model's `parameters`. Its first `free` entries are parameters themselves, after
+    /// those of the model.
+    pub(super) fn new(x: Vec<f64>, parameters: usize, free: usize) -> Self {
+        let all = parameters + free;
+        let mut by = vec![0.0; x.len() * all];
+        for state in 0..free {
+            by[state * all + parameters + state] = 1.0;
+        }
+        Along { by, x, parameters: all, transition: Transition::default() }
     }
 
     /// Puts the first states where they were measured to be.
@@ -28,10 +34,12 @@ impl Along {
     pub(super) fn advance(&mut self, run: &mut dyn Run, index: usize) {
         let n = self.x.len();
         run.advance(index, &mut self.x, &mut self.transition);
-        let mut next = self.transition.by_parameter.clone();
-        for (row, slopes) in next.chunks_mut(self.parameters.max(1)).zip(self.transition.by_state.chunks(n)) {
+        let own = self.transition.by_parameter.len() / n.max(1);
+        let mut next = vec![0.0; self.by.len()];
+        for (state, row) in next.chunks_mut(self.parameters.max(1)).enumerate() {
             for (j, entry) in row.iter_mut().enumerate() {
-                *entry += (0..n).map(|i| slopes[i] * self.by[i * self.parameters + j]).sum::<f64>();
+                let direct = if j < own { self.transition.by_parameter[state * own + j] } else { 0.0 };
+                *entry = direct + self.through(&self.transition.by_state[state * n..(state + 1) * n], j);
             }
         }
         self.by = next;

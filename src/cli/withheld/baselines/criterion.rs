@@ -1,7 +1,7 @@
 //! Effects ranked by the Bayesian information criterion (Schwarz, Annals of Statistics 6, 1978) of a sum of squares.
 
 use parallax_gap::fit::{Local, minimise};
-use parallax_gap::hypothesis::Hypothesis;
+use parallax_gap::hypothesis::{Fitted, Hypothesis};
 use parallax_gap::library;
 use parallax_gap::setup::Setup;
 use parallax_gap::simulator::Simulator;
@@ -15,8 +15,13 @@ const ITERATIONS: usize = 12;
 /// How many effects are named.
 const NAMED: usize = 3;
 
-/// Residuals of a simulator at θ.
-pub(super) type Residuals = fn(&Setup, &dyn Simulator, &[f64]) -> Squares;
+/// How a method turns a model into residuals.
+pub(super) struct Method {
+    /// What is fitted beside the hypothesis' own parameters, such as where a simulation begins.
+    pub(super) nuisances: fn(&Setup) -> Vec<Fitted>,
+    /// The residuals at θ, with the nuisances after the hypothesis' parameters.
+    pub(super) residuals: fn(&Setup, &dyn Simulator, &[f64]) -> Squares,
+}
 
 /// A sum of squared residuals with its derivatives.
 pub(super) struct Squares {
@@ -62,9 +67,9 @@ impl Squares {
 }
 
 /// Effects by criterion; a gap is said to be where one of them is below the refitted nominal system.
-pub(super) fn rank(setup: &Setup, residuals: Residuals) -> BaselineResult {
+pub(super) fn rank(setup: &Setup, method: &Method) -> BaselineResult {
     let (candidates, _) = library::candidates(setup);
-    let of = |hypothesis: Hypothesis| criterion(setup, &hypothesis, residuals);
+    let of = |hypothesis: Hypothesis| criterion(setup, &hypothesis, method);
     let null = of(library::hypothesis(setup, &[]));
     let mut ranked: Vec<(f64, String)> = candidates
         .par_iter()
@@ -84,13 +89,17 @@ pub(super) fn rank(setup: &Setup, residuals: Residuals) -> BaselineResult {
 }
 
 /// N log(SSE/N) + p log N at the best of the hypothesis' starts.
-fn criterion(setup: &Setup, hypothesis: &Hypothesis, residuals: Residuals) -> f64 {
+fn criterion(setup: &Setup, hypothesis: &Hypothesis, method: &Method) -> f64 {
     let simulator = library::simulator(setup, hypothesis, Vec::new());
-    let fits = hypothesis.starts().into_iter().map(|start| {
-        let loss = |theta: &[f64], _| residuals(setup, &simulator, theta).local();
-        let theta = minimise(&hypothesis.fitted, &start, ITERATIONS, loss).theta;
-        let squares = residuals(setup, &simulator, &theta);
-        squares.local().cost + hypothesis.fitted.len() as f64 * squares.count.max(1.0).ln()
+    let nuisances = (method.nuisances)(setup);
+    let mut fitted = hypothesis.fitted.clone();
+    fitted.extend(nuisances.iter().cloned());
+    let fits = hypothesis.starts().into_iter().map(|mut start| {
+        start.extend(nuisances.iter().map(|f| f.null));
+        let loss = |theta: &[f64], _| (method.residuals)(setup, &simulator, theta).local();
+        let theta = minimise(&fitted, &start, ITERATIONS, loss).theta;
+        let squares = (method.residuals)(setup, &simulator, &theta);
+        squares.local().cost + fitted.len() as f64 * squares.count.max(1.0).ln()
     });
     fits.fold(f64::INFINITY, f64::min)
 }

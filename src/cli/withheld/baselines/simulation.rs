@@ -1,30 +1,53 @@
 //! Full-simulation error and BIC: every effect is fitted to the whole recording, simulated from its first state.
 
+use parallax_gap::hypothesis::{Fitted, Prior, Slot};
 use parallax_gap::setup::Setup;
 use parallax_gap::simulator::{Prediction, Simulator, wrapped};
 use parallax_model::system::System;
 use parallax_runtime::recording::log::Log;
 
 use super::along::Along;
-use super::criterion::{Squares, rank};
+use super::criterion::{Method, Squares, rank};
 use super::{BaselineResult, setup};
 
 /// Residual of a simulation that runs away, in noise units.
 const RUNAWAY: f64 = 1e6;
 
 pub(super) fn answer(system: &System, log: &Log) -> anyhow::Result<BaselineResult> {
-    Ok(rank(&setup(system, log)?, error))
+    Ok(rank(&setup(system, log)?, &Method { nuisances: initial, residuals: error }))
+}
+
+/// Where the simulation begins: around what the first readings say.
+fn initial(setup: &Setup) -> Vec<Fitted> {
+    let Some(first) = setup.train.first() else { return Vec::new() };
+    let states = first.state.iter().zip(&first.std).enumerate();
+    states
+        .map(|(k, (mean, std))| {
+            let std = std.max(1e-9);
+            Fitted {
+                slot: Slot::Weight(k),
+                name: setup.equations.system().states[k].name.clone(),
+                unit: String::new(),
+                null: *mean,
+                prior: Prior::Normal { mean: *mean, std },
+                low: mean - 10.0 * std,
+                high: mean + 10.0 * std,
+                scale: std,
+                starts: Vec::new(),
+            }
+        })
+        .collect()
 }
 
 /// The errors of one simulation over the whole recording, in noise units.
 fn error(setup: &Setup, simulator: &dyn Simulator, theta: &[f64]) -> Squares {
-    let p = simulator.parameters();
+    let (own, p) = (simulator.parameters(), theta.len());
     let mut squares = Squares::new(p);
     let Some(first) = setup.train.first() else { return squares };
-    let mut run = simulator.run(theta);
+    let mut run = simulator.run(&theta[..own]);
     let count = run.events().len();
     let begin = run.events().iter().position(|event| event.time >= first.from).unwrap_or(0);
-    let mut along = Along::new(simulator.start(&first.state, &first.std, first.from).0, p);
+    let mut along = Along::new(simulator.start(&theta[own..], &first.std, first.from).0, own, p - own);
     let mut prediction = Prediction::default();
     for index in begin..count {
         if let Some(reading) = run.events()[index].reading {
@@ -34,7 +57,8 @@ fn error(setup: &Setup, simulator: &dyn Simulator, theta: &[f64]) -> Squares {
             let astray = !(off.is_finite() && off.abs() < RUNAWAY);
             let slope: Vec<f64> = (0..p)
                 .map(|j| {
-                    let total = along.through(&prediction.by_state, j) + prediction.by_parameter[j];
+                    let total = along.through(&prediction.by_state, j)
+                        + prediction.by_parameter.get(j).copied().unwrap_or(0.0);
                     if astray || !total.is_finite() { 0.0 } else { -total / unit }
                 })
                 .collect();
