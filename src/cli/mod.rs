@@ -14,6 +14,7 @@ mod replay;
 mod run;
 mod sim;
 mod supergraph;
+mod withheld;
 
 use std::process::ExitCode;
 
@@ -73,6 +74,12 @@ enum Command {
     /// Design the commands that would tell apart what a diagnosis could not.
     #[command(after_help = EXIT_CODES)]
     Experiment(experiment::Arguments),
+    /// Score the diagnosis on cases whose cause it cannot see.
+    #[command(after_help = EXIT_CODES)]
+    Withheld(withheld::Arguments),
+    /// Makes the cases of `parallax withheld` and seals their answers.
+    #[command(name = withheld::TRUTH_COMMAND, hide = true)]
+    WithheldTruth(withheld::truth::Arguments),
     /// One node of a run; the launcher starts it.
     #[command(name = NODE_COMMAND, hide = true)]
     Node {
@@ -95,6 +102,8 @@ pub(crate) fn main() -> ExitCode {
         Command::Run(arguments) => run::run(&arguments),
         Command::Diagnose(arguments) => diagnose::run(&arguments),
         Command::Experiment(arguments) => experiment::run(&arguments),
+        Command::Withheld(arguments) => withheld::run(&arguments),
+        Command::WithheldTruth(arguments) => withheld::truth::run(&arguments),
         Command::Sim(arguments) => sim::run(&arguments),
         Command::Replay(arguments) => replay::run(&arguments),
         Command::Import(arguments) => import::run(&arguments),

@@ -44,7 +44,7 @@ pub(crate) fn markdown(scores: &Scores) -> String {
         scores.seal,
     );
     page += &format!(
-        "A case is detectable where the evidence of the true effect over the best refit, by the generator's own code, is \
+        "A case is detectable where twice the log-likelihood ratio of the true effect to the best refit, by the generator's own code, is \
          {DETECTABLE} or more. Classes are the generator's as well. Shares have Wilson's 95 % intervals, all else \
          percentiles of a bootstrap over the cases. Diagnoses that fail count as wrong.\n\n"
     );

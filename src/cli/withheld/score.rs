@@ -11,11 +11,12 @@ use super::judge::Case;
 use super::seal::Answers;
 use super::statistics::{Score, area, bootstrap, calibration_error, mean, quantile, share};
 
-/// Evidence of the true effect over the best refit, on the truth's side, from which a case counts as detectable.
-pub(crate) const DETECTABLE: f64 = 10.0;
+/// Twice the log-likelihood ratio of the true effect to the best refit, on the truth's side, from which a case counts as
+/// detectable.
+pub(crate) const DETECTABLE: f64 = 20.0;
 
-/// Bins of that evidence: each begins where the one before ends.
-const BINS: [f64; 6] = [f64::NEG_INFINITY, 3.0, 10.0, 30.0, 100.0, 1000.0];
+/// Bins of that ratio: each begins where the one before ends.
+const BINS: [f64; 6] = [f64::NEG_INFINITY, 5.0, 20.0, 100.0, 1000.0, 10_000.0];
 
 /// The line that compares with methods that name nothing.
 const NOMINAL_CLOSED: &str = "held-out gap of the nominal system closed, median, detectable";

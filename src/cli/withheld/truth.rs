@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::Args;
-use parallax_withheld_truth::{Answer, Plan, Set, plans, write};
+use parallax_withheld_truth::{Answer, Plan, Set, TruthError, plans, write};
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -104,6 +104,9 @@ pub(crate) struct CaseOptions {
 /// Seeds of reported runs have this bit; seeds for development do not. So no case is in both.
 const REPORTED: u64 = 1 << 63;
 
+/// How often a case is drawn at most.
+const TRIES: usize = 20;
+
 /// The seed of a run: one for development if it is stated, else a fresh one.
 fn draw_seed(development: Option<u64>) -> u64 {
     match development {
@@ -170,7 +173,19 @@ impl Draft {
         std::fs::create_dir_all(folder)
             .with_context(|| format!("the folder {} cannot be made", folder.display()))
             .map_err(Failure::runtime)?;
-        let answer = write(&self.plan, self.seed, folder).runtime()?;
+        // A machine that ran away is of no use: it is drawn again.
+        let mut seeds = ChaCha8Rng::seed_from_u64(self.seed);
+        let mut seed = self.seed;
+        let mut tries = 1;
+        let answer = loop {
+            match write(&self.plan, seed, folder) {
+                Err(TruthError::Diverged) if tries < TRIES => {
+                    seed = (seeds.random::<u64>() & !REPORTED) | (self.seed & REPORTED);
+                    tries += 1;
+                }
+                made => break made.runtime()?,
+            }
+        };
         let mut exclude = Vec::new();
         if self.left_out {
             exclude.extend(answer.effects.iter().map(|effect| effect.name.clone()));
