@@ -4,6 +4,9 @@
 //! 0.1 ms steps with true stick-slip, commands that arrive through a queue, sensors with a latency of their own. What
 //! crosses over to the diagnosis is one folder: `recording.toml`, tables, and the nominal `system.toml`.
 
+// Equations of motion are read by index, as they are written.
+#![allow(clippy::needless_range_loop)]
+
 mod case;
 mod channel;
 mod drive;
