@@ -18,10 +18,13 @@ const CLOSED: f64 = 0.4;
 pub struct Judge {
     independence: f64,
     exact: bool,
-    /// Whether states beyond the nominal ones are believed no further than the filter carries them.
+    /// The number of states of the nominal model.
+    states: usize,
+    /// What a hypothesis without further states costs by windows and by innovations: where others have further ones,
+    /// these take the place of their windows.
+    plain: (f64, f64),
+    /// Whether that only bounds what their windows say.
     bounded: bool,
-    /// What the null model costs by windows and by innovations, and how many states it has.
-    null: (f64, f64, usize),
 }
 
 impl Judge {
@@ -33,13 +36,18 @@ impl Judge {
             .chain([null])
             .min_by(|a, b| a.shooting_error.total_cmp(&b.shooting_error))
             .unwrap_or(null);
-        Judge {
-            independence: best.independence,
-            exact: best.shooting_error <= INEXACT,
-            // Where some hypothesis reaches the noise and the null does not, there is nothing else left to follow.
-            bounded: best.shooting_error > INEXACT || null.shooting_error <= INEXACT,
-            null: (null.shooting_cost, null.innovation.evidence_cost, null.innovation.pass.states()),
+        let states = null.innovation.pass.states();
+        let exact = best.shooting_error <= INEXACT;
+        let bounded = !exact || null.shooting_error <= INEXACT;
+        // Where some hypothesis reaches the noise and the null does not, the null's two losses are of different worlds:
+        // the best hypothesis with the null's states stands in for it.
+        let mut plain = null;
+        if !bounded {
+            let same = fits.iter().filter(|f| f.innovation.pass.states() == states);
+            plain = same.min_by(|a, b| a.shooting_cost.total_cmp(&b.shooting_cost)).unwrap_or(null);
         }
+        let plain = (plain.shooting_cost, plain.innovation.evidence_cost);
+        Judge { independence: best.independence, exact, states, plain, bounded }
     }
 
     /// Whether `fit`, which has more effects than `base`, is worth them.
@@ -61,12 +69,14 @@ impl Judge {
     #[must_use]
     pub fn cost(&self, fit: &Fit) -> f64 {
         let innovations = fit.innovation.evidence_cost;
-        let (null_windows, null_innovations, states) = self.null;
         let mut windows = fit.shooting_cost;
-        // States beyond the nominal ones are free in each window, and may follow there what the hypothesis does not
-        // explain. The filter carries them from window to window: its gain bounds what is believed of the windows'.
-        if self.bounded && fit.innovation.pass.states() > states {
-            windows = windows.max(null_windows + innovations - null_innovations);
+        // States beyond the nominal ones are free in each window: they may follow there what the hypothesis does not
+        // explain, and pay each time for what is not known of them. The filter carries them from window to window: its
+        // gain takes the place of the windows', or bounds it.
+        if fit.innovation.pass.states() > self.states {
+            let (plain_windows, plain_innovations) = self.plain;
+            let carried = plain_windows + innovations - plain_innovations;
+            windows = if self.bounded { windows.max(carried) } else { carried };
         }
         let windows = self.independence * windows;
         if self.exact { 0.5 * (innovations + windows) } else { windows }
