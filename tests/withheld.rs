@@ -1,0 +1,101 @@
+//! The withheld benchmark from end to end: cases are made, sealed, diagnosed, and scored.
+
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+/// One single and one null, nothing else, from a seed for development.
+const TWO: [&str; 18] = [
+    "--dev-seed",
+    "5",
+    "--singles",
+    "1",
+    "--nulls",
+    "1",
+    "--other-form",
+    "0",
+    "--pairs",
+    "0",
+    "--outside",
+    "0",
+    "--poor",
+    "0",
+    "--short",
+    "0",
+    "--leave-out",
+    "0",
+];
+
+fn withheld(out: &Path, more: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_parallax"))
+        .args(["withheld", "--json"])
+        .args(TWO)
+        .args(more)
+        .arg("--out")
+        .arg(out)
+        .output()
+        .unwrap()
+}
+
+fn scores(output: &Output) -> Value {
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{errors}");
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+/// All that does not depend on how fast this machine is.
+fn lasting(scores: &Value) -> Vec<Value> {
+    let lines = scores["lines"].as_array().unwrap();
+    let timeless = lines.iter().filter(|line| !line["name"].as_str().unwrap().starts_with("time"));
+    timeless.cloned().chain([scores["confusion"].clone(), scores["seal"].clone()]).collect()
+}
+
+fn result_file(out: &Path) -> PathBuf {
+    out.join("results-1-of-1.jsonl")
+}
+
+#[test]
+fn two_cases_are_made_sealed_diagnosed_and_scored() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    let page = folder.path().join("page.md");
+    let output = withheld(&out, &["--markdown", page.to_str().unwrap()]);
+    let whole = scores(&output);
+    assert_eq!((&whole["development"], &whole["seed"]), (&true.into(), &5.into()));
+    assert_eq!((&whole["sets"]["single"], &whole["sets"]["null"]), (&1.into(), &1.into()));
+    let seal = whole["seal"].as_str().unwrap();
+    assert!(String::from_utf8_lossy(&output.stderr).contains(seal), "the hash is printed");
+    assert!(fs::read_to_string(&page).unwrap().contains(seal), "the page states the hash");
+    for entry in fs::read_dir(out.join("cases")).unwrap() {
+        let case = entry.unwrap().path();
+        assert!(case.join("recording.toml").exists() && case.join("system.toml").exists());
+    }
+
+    // A run in the same folder is refused; one that goes on with half of the results ends where the whole did.
+    let refused = withheld(&out, &[]);
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("--resume"));
+    let results = fs::read_to_string(result_file(&out)).unwrap();
+    let (kept, _) = results.trim_start().split_once('\n').unwrap();
+    fs::write(result_file(&out), format!("{kept}\n{{\"case\": \"cut sho")).unwrap();
+    let resumed = scores(&withheld(&out, &["--resume"]));
+    assert_eq!(lasting(&resumed), lasting(&whole));
+    assert!(fs::read_to_string(result_file(&out)).unwrap().starts_with(kept), "what was in stays as it is");
+
+    // While a case is out the answers stay closed; with all in, changed answers are refused.
+    fs::write(result_file(&out), kept).unwrap();
+    let part = withheld(&out, &["--resume", "--shard", "1/100000"]);
+    let first_is_in = String::from_utf8_lossy(&part.stdout).contains("stay sealed");
+    assert!(part.status.success() && first_is_in, "{part:?}");
+    fs::write(result_file(&out), &results).unwrap();
+    let answers = out.join("answers.json");
+    let changed = fs::read_to_string(&answers).unwrap().replacen("\"seed\": 5", "\"seed\": 6", 1);
+    fs::write(&answers, changed).unwrap();
+    let broken = withheld(&out, &["--resume"]);
+    assert_eq!(broken.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&broken.stderr).contains("was changed after it was sealed"));
+}
