@@ -386,6 +386,8 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
         calibration: calibration(setup, shown),
         where_: answers::places(&answers, &causes),
         maps: if mean_detected { maps::maps(setup, &null, options.seed) } else { Vec::new() },
+        timing: None,
+        nodes: None,
         which,
         readings,
         unexplained,

@@ -7,6 +7,7 @@ pub mod html;
 mod maps;
 mod overlay;
 mod readings;
+mod recorded;
 pub mod sentence;
 pub mod svg;
 pub mod text;
@@ -16,8 +17,10 @@ use serde::{Deserialize, Serialize};
 use crate::excitation::Promise;
 use crate::explain::Explanation;
 use crate::maps::Map;
+use crate::nodes::Nodes;
 use crate::plot::{axis, draw};
 use crate::readings::ReadingEffect;
+use crate::timing::Timing;
 
 /// A whole diagnosis.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -38,6 +41,12 @@ pub struct Report {
     /// Inside the plant: what the innovations of the refitted nominal model depend on.
     #[serde(default)]
     pub maps: Vec<Map>,
+    /// What the stamps prove: delays, jitter, losses, rates and clocks against what the graph declares.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub timing: Option<Timing>,
+    /// Each node of a recorded graph, replayed alone on its recorded inputs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub nodes: Option<Nodes>,
     /// Answers by probability; an empty effect list is "no gap".
     pub which: Vec<Which>,
     /// How readings scatter, repeat and are spaced: effects that leave every mean as it is, significant or not.

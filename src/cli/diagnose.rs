@@ -7,8 +7,10 @@ use clap::Args;
 use parallax_gap::bind::bind_all;
 use parallax_gap::diagnosis::{Diagnosis, Options, diagnose_all};
 use parallax_gap::experiment::Experiment;
+use parallax_gap::nodes;
 use parallax_gap::options::{Pattern, Prior};
 use parallax_gap::report::{MadeFrom, Report, html, svg, text};
+use parallax_gap::timing;
 use parallax_model::system::{Equations, System};
 use parallax_runtime::import::{self, read_system_text};
 use parallax_runtime::recording::Recording;
@@ -80,6 +82,8 @@ pub(crate) struct Loaded {
     /// The text that a corrected system is made from.
     text: String,
     system: System,
+    /// The recording of a graph, where there is one alone.
+    graph: Option<Recording>,
     /// The files, as whole paths.
     recordings: Vec<PathBuf>,
     system_file: Option<PathBuf>,
@@ -90,12 +94,16 @@ impl Loaded {
     pub(crate) fn read(paths: &[PathBuf], system: Option<&Path>) -> Result<Self, Failure> {
         let mut logs = Vec::new();
         let mut attached: Option<(&Path, String)> = None;
+        let mut graph = None;
         for path in paths {
             let (log, own) = if path.is_dir() {
                 (import::folder(path).input()?, None)
             } else {
                 let recording = Recording::read(path).input()?;
-                (recording.log(), recording.graph.plant.map(|plant| plant.system))
+                let own = recording.graph.plant.as_ref().map(|plant| plant.system.clone());
+                let log = recording.log();
+                graph = (paths.len() == 1).then_some(recording);
+                (log, own)
             };
             for note in &log.notes {
                 eprintln!("note: {note}");
@@ -136,7 +144,7 @@ impl Loaded {
         }
         let whole = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
         let recordings = paths.iter().map(|path| whole(path)).collect();
-        Ok(Self { logs, text, system: parsed, recordings, system_file: system.map(whole) })
+        Ok(Self { logs, text, system: parsed, graph, recordings, system_file: system.map(whole) })
     }
 
     /// The recordings' titles.
@@ -161,6 +169,7 @@ impl Loaded {
         };
         let mut diagnosis = diagnose_all(&self.system, &self.logs, options, &watch).input()?;
         bar.finish_and_clear();
+        self.look_at_the_graph(&mut diagnosis.report);
         diagnosis.report.made_from = Some(MadeFrom {
             recordings: self.recordings.clone(),
             system: self.system_file.clone(),
@@ -168,6 +177,16 @@ impl Loaded {
             seed: options.seed,
         });
         self.write(diagnosis, out)
+    }
+
+    /// What stamps and recorded edges prove, where a whole graph was recorded.
+    fn look_at_the_graph(&self, report: &mut Report) {
+        let Some(recording) = &self.graph else { return };
+        report.timing = Some(timing::timing(recording));
+        match nodes::nodes(recording, &parallax_nodes::registry()) {
+            Ok(nodes) => report.nodes = Some(nodes),
+            Err(error) => eprintln!("warning: the nodes cannot be replayed alone: {error}"),
+        }
     }
 
     fn write(&self, diagnosis: Diagnosis, out: &Path) -> Result<Report, Failure> {

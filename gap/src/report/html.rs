@@ -4,7 +4,7 @@ use super::answer::{Answer, answers};
 use super::draw::{Pen, escape, typeset};
 use super::overlay;
 use super::readings::Readings;
-use super::{Confusable, Overlay, Report, bars, format, maps};
+use super::{Confusable, Overlay, Report, bars, format, maps, recorded};
 use crate::plot::page;
 
 /// Answers less probable than this are listed by name only.
@@ -29,6 +29,7 @@ pub fn page(report: &Report, overlays: &[Overlay]) -> String {
         overlays_section(report, overlays),
         format!("<div class=\"pair\">{}{}</div>", which(&answers), where_(report)),
         how_far(report),
+        recorded_section(report),
         maps_section(report),
         calibration(report),
         unexplained(report),
@@ -205,6 +206,17 @@ fn where_(report: &Report) -> String {
         content.push_str(&format!("<p class=\"note\">Also considered: {}.</p>\n", rest.join(", ")));
     }
     section("Where", "Share: how much of the gap the best effect there explains.", &content)
+}
+
+fn recorded_section(report: &Report) -> String {
+    let lines = recorded::lines(report);
+    if lines.is_empty() {
+        return String::new();
+    }
+    let items: String =
+        lines.iter().map(|(label, text)| format!("<dt>{label}</dt><dd>{}</dd>\n", escape(text))).collect();
+    let note = "Timing from the stamps, and every node replayed alone on what it received: before any fit.";
+    section("What the recording proves", note, &format!("<dl class=\"list\">\n{items}</dl>\n"))
 }
 
 fn maps_section(report: &Report) -> String {

@@ -1,7 +1,7 @@
 //! The short answer for a terminal.
 
 use super::answer::{Answer, answers};
-use super::{Calibration, Report, bars, format};
+use super::{Calibration, Report, bars, format, recorded};
 
 /// Widest line.
 const COLUMNS: usize = 100;
@@ -22,6 +22,11 @@ pub fn summary(report: &Report) -> String {
             format::share(place.share)
         );
         lines.put(if i == 0 { "where" } else { "" }, 9, &text);
+    }
+    let mut before = "";
+    for (label, text) in recorded::lines(report) {
+        lines.put(if label == before { "" } else { label }, 2, &text);
+        before = label;
     }
     which(&mut lines, report);
     how_far(&mut lines, report);

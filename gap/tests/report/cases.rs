@@ -85,6 +85,8 @@ pub(crate) fn one_effect() -> Report {
                 1e-11,
             ),
         ],
+        timing: None,
+        nodes: None,
         maps: vec![
             map("speed of joint:shaft", "", 0.005, 0.31, |k| (k - 4.5) / 9.0),
             map("frequency", "Hz", 0.005, 0.12, |_| 0.0),
