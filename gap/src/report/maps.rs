@@ -50,17 +50,15 @@ fn title(map: &Map) -> String {
 }
 
 fn figure(map: &Map) -> String {
-    let share = if map.by == "frequency" {
-        format!("{} of the energy lies in other bands than white noise has it", format::share(map.share))
-    } else {
-        format!("{} of the energy is systematic", format::share(map.share))
-    };
+    let share = draw::typeset(&format::share(map.share));
+    let says =
+        if map.by == "frequency" { "of the energy is out of place" } else { "of the energy is systematic" };
     format!(
-        "<figure>{}<figcaption><p><b>{}</b> by {}: {}, p {}.</p></figcaption></figure>\n",
+        "<figure>{}<figcaption><p><b>{}</b> by {}: {} {says}, {}.</p></figcaption></figure>\n",
         plot(map),
         escape(&map.output),
         escape(&map.by),
-        escape(&draw::typeset(&share)),
+        escape(&share),
         escape(&draw::typeset(&format::p_value(map.p_value))),
     )
 }
