@@ -107,6 +107,33 @@ fn flexibility() {
 }
 
 #[test]
+fn an_effect_that_the_system_states_is_no_gap() {
+    let hidden = Hidden { input_delay: 0.03, ..Hidden::default() };
+    let stated = |delay: f64| {
+        let entry = format!(
+            "[[effect]]\nname = \"delay\"\nplace = \"input:u\"\nparameters = {{ delay = {delay} }}\n"
+        );
+        let system =
+            System::parse(&format!("{SYSTEM}\n{entry}"), "corrected.toml").expect("the system is valid");
+        let equations = system.equations().expect("the equations are complete");
+        diagnose_experiment(
+            equations,
+            record(hidden, 7, DURATION),
+            "pendulum",
+            &Options::default(),
+            &|_, _| (),
+        )
+        .expect("it can be diagnosed")
+        .report
+    };
+    let report = stated(0.03);
+    assert!(!report.gap.detected, "{}", report.summary);
+    // A wrong value is still a gap.
+    let report = stated(0.01);
+    assert!(report.gap.detected, "{}", report.summary);
+}
+
+#[test]
 fn nothing_hidden_is_no_gap() {
     for seed in [1, 2] {
         let report = diagnosed(Hidden::default(), seed).report;

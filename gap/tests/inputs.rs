@@ -78,14 +78,6 @@ fn a_short_log_names_its_length() {
 }
 
 #[test]
-fn stated_effects_are_refused() {
-    let system = format!(
-        "{SYSTEM}\n[[effect]]\nname = \"delay\"\nplace = \"input:u\"\nparameters = {{ delay = 0.01 }}\n"
-    );
-    refused(&system, &log(1.0), &["pendulum.toml", "[[effect]]"]);
-}
-
-#[test]
 fn a_system_that_is_not_finite_names_system_and_recording() {
     let system =
         SYSTEM.replace("(k*u - m*g*l*sin(q) - b*w)/J", "(k*u - m*g*l*sin(q) - b*w)/J + sqrt(-1 - q*q)");
