@@ -80,9 +80,12 @@ fn recordings_share_their_parameters_and_keep_their_constants() {
     assert!((value - 0.03).abs() < 3.0 * std + 0.002, "{value} ± {std}");
     assert!(found.how_far.closed_by_effect.value > 0.9, "{:?}", found.how_far);
 
-    // A second recording narrows the answer.
-    let alone = diagnose_all(&system(), &logs[..1], &Options::default(), &|_, _| ()).expect("it fits").report;
-    assert!(force(&alone).1 > std, "{} is no wider than {std}", force(&alone).1);
+    // More recordings narrow the answer, here of one and the same form.
+    let only = Options { only: vec!["coulomb".parse().expect("a pattern")], ..Options::default() };
+    let narrowed =
+        |logs: &[Log]| force(&diagnose_all(&system(), logs, &only, &|_, _| ()).expect("they fit").report).1;
+    let (alone, together) = (narrowed(&logs[..1]), narrowed(&logs));
+    assert!(together < alone, "{together} together, {alone} alone");
 }
 
 #[test]
