@@ -51,6 +51,10 @@ pub(crate) fn fitted_effects(setup: &Setup, fit: &Fit) -> Vec<FittedEffect> {
         .collect()
 }
 
+/// Delay, in standard deviations of the jitter, up to which it is the jitter's mean: of times that are late and never
+/// early 1 (exponential) to 1.7 (uniform), with room for error.
+const MEAN_OF_JITTER: f64 = 3.0;
+
 /// All answers by probability. Effects on how readings scatter that count as causes are part of each.
 pub(crate) fn which(
     setup: &Setup,
@@ -67,6 +71,20 @@ pub(crate) fn which(
         })
         .collect();
     out.push(Which { effects: Vec::new(), class: Vec::new(), probability: posterior.no_gap });
+    // Readings and commands that come late by chance come late on average: a delay of that size is no cause of its own.
+    let scattered = readings.iter().filter(|r| r.name == Effect::Jitter.name());
+    let spread = scattered.filter_map(|r| Some(r.parameters.get("spread")?.value)).fold(0.0, f64::max);
+    let (average, rest): (Vec<Which>, Vec<Which>) =
+        out.into_iter().partition(|answer| match &answer.effects[..] {
+            [only] if only.name == Effect::Delay.name() => {
+                only.parameters.values().all(|delay| delay.value < MEAN_OF_JITTER * spread)
+            }
+            _ => false,
+        });
+    let mut out = rest;
+    if let Some(none) = out.iter_mut().find(|answer| answer.effects.is_empty()) {
+        none.probability += average.iter().map(|answer| answer.probability).sum::<f64>();
+    }
     let labels: Vec<String> = readings.iter().map(|r| format!("{}@{}", r.name, r.place)).collect();
     for answer in &mut out {
         if labels.is_empty() {

@@ -1,9 +1,9 @@
 //! Several effects at once: from the best single ones forward, and back where one of them is not needed.
 
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use crate::hypothesis::EffectAt;
+use crate::hypothesis::{EffectAt, Slot};
 use crate::judge::{Judge, WORTH};
 use crate::library;
 use crate::search::{Fit, Width, fit_all, fit_hypothesis};
@@ -20,7 +20,10 @@ const RIVAL: f64 = 50.0;
 const ADDED: usize = 8;
 
 /// Most effects at once.
-const MOST: usize = 6;
+const MOST: usize = 4;
+
+/// Squared distance from its null beyond which an effect is not tried to be left out.
+const CERTAIN: f64 = 400.0;
 
 /// Combinations that are worth their further effects; `fits` are single effects, the best first.
 #[must_use]
@@ -95,7 +98,9 @@ fn score(setup: &Setup, base: &Fit, nuisance: &Nuisance, at: &EffectAt) -> f64 {
 fn prune(setup: &Setup, null: &Fit, mut fit: Fit, fits: &[Fit], judge: &Judge) -> Fit {
     while fit.hypothesis.effects.len() > 1 {
         let effects = fit.hypothesis.effects.clone();
-        let without = (0..effects.len()).map(|left_out| {
+        let doubtful: Vec<usize> =
+            (0..effects.len()).filter(|k| distance(&fit, *k).is_none_or(|d| d < CERTAIN)).collect();
+        let without = doubtful.into_par_iter().map(|left_out| {
             let mut rest = effects.clone();
             rest.remove(left_out);
             match fits.iter().find(|f| same(&f.hypothesis.effects, &rest)) {
@@ -103,13 +108,31 @@ fn prune(setup: &Setup, null: &Fit, mut fit: Fit, fits: &[Fit], judge: &Judge) -
                 None => fit_hypothesis(setup, null, library::hypothesis(setup, &rest)),
             }
         });
-        let best = without.min_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
+        let without: Vec<Fit> = without.collect();
+        let best = without.into_iter().min_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
         match best.filter(|best| !judge.is_worth(&fit, best)) {
             Some(simpler) => fit = simpler,
             None => break,
         }
     }
     fit
+}
+
+/// Squared distance of an effect's parameters from their nulls in units of their covariance (Wald's statistic).
+fn distance(fit: &Fit, effect: usize) -> Option<f64> {
+    let fitted = fit.hypothesis.fitted.iter().enumerate();
+    let own: Vec<usize> = fitted
+        .filter(|(_, f)| matches!(f.slot, Slot::Effect { effect: of, .. } if of == effect))
+        .map(|(j, _)| j)
+        .collect();
+    if own.is_empty() {
+        return None;
+    }
+    let covariance = fit.innovation.minimum.covariance()?;
+    let part = DMatrix::from_fn(own.len(), own.len(), |i, j| covariance[(own[i], own[j])]);
+    let away = DVector::from_fn(own.len(), |i, _| fit.theta()[own[i]] - fit.hypothesis.fitted[own[i]].null);
+    let distance = away.dot(&part.cholesky()?.solve(&away));
+    distance.is_finite().then_some(distance)
 }
 
 /// Whether two lists hold the same effects.

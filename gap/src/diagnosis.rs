@@ -368,10 +368,12 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
         .map(|o| quantify::overlay(setup, o, &refitted, &with_effect))
         .collect();
 
-    // How readings scatter is a cause of the gap only where their mean leaves nothing larger.
+    // How readings scatter is a cause of the gap only where their mean leaves nothing larger. Commands that scatter move
+    // the machine: no prediction over a horizon is right, and innovations alone tell.
+    let at_input = |r: &ReadingEffect| r.place.starts_with("input:");
     let causes: Vec<ReadingEffect> = readings
         .iter()
-        .filter(|r| r.significant && with_effect.mean_square() < MEAN_EXPLAINED.powi(2))
+        .filter(|r| r.significant && (at_input(r) || with_effect.mean_square() < MEAN_EXPLAINED.powi(2)))
         .cloned()
         .collect();
     let chance = causes.iter().map(|r| (0.5 * r.evidence).exp()).fold(p_value, f64::min);

@@ -17,7 +17,7 @@ use crate::commands::{self, Change};
 use crate::experiment::Experiment;
 use crate::hypothesis::Slot;
 use crate::machine::{Drive, Field, Layout, Machine};
-use crate::simulator::{At, Event, LANES, Motion, Reading, Run, Simulator};
+use crate::simulator::{At, Event, Gradient, LANES, Motion, Reading, Run, Simulator};
 
 /// Most states and fitted parameters together.
 pub const MOST_VARIABLES: usize = 128;
@@ -110,7 +110,7 @@ impl<'a> EquationsSimulator<'a> {
             loaded: [0; LANES],
             drive: Drive::new(self.experiment.inputs.len(), timed),
             table,
-            scratch: Vec::new(),
+            scratch: Gradient::default(),
         })
     }
 }
@@ -267,7 +267,7 @@ struct EquationsRun<'a> {
     loaded: [u32; LANES],
     drive: Drive,
     table: Arc<Table>,
-    scratch: Vec<F64x16>,
+    scratch: Gradient,
 }
 
 impl EquationsRun<'_> {
@@ -366,7 +366,7 @@ impl Run for EquationsRun<'_> {
         self.machine.advance(&self.drive, motion);
     }
 
-    fn observe_lanes(&mut self, at: &At, motion: &Motion, by: &mut Vec<F64x16>) -> F64x16 {
+    fn observe_lanes(&mut self, at: &At, motion: &Motion, by: &mut Gradient) -> F64x16 {
         self.load(at, true);
         let mut value = F64x16::splat(0.0);
         let output = |events: &[Event], lane: usize| Some(events[at[lane]?].reading?.output);
@@ -382,10 +382,11 @@ impl Run for EquationsRun<'_> {
             let other = self.machine.observe(*output, &self.drive, motion, &mut self.scratch);
             for lane in (0..LANES).filter(|lane| outputs[*lane] == Some(*output)) {
                 value[lane] = other[lane];
-                for (to, from) in by.iter_mut().zip(&self.scratch) {
+                for (to, from) in by.by.iter_mut().zip(&self.scratch.by) {
                     to[lane] = from[lane];
                 }
             }
+            by.live.extend(&self.scratch.live);
         }
         value
     }

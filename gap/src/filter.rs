@@ -11,10 +11,12 @@
 
 mod lanes;
 
+use std::ops::Range;
+
 use parallax_model::lanes::{F64x16, Level};
 
-use crate::simulator::{At, LANES, Motion, Run, wrapped};
-use lanes::{CostAt, Covariance, Read};
+use crate::simulator::{At, Gradient, LANES, Motion, Run, wrapped};
+use lanes::{CostAt, Covariance, Pattern, Read};
 
 /// Noise intensities.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,6 +36,8 @@ pub struct Start {
     pub end: usize,
     /// Stamp of the first reading that counts (s); earlier ones only tell the state.
     pub counts_from: f64,
+    /// End of the stamps that belong to the stretch (s): later readings that happen in between are not looked at.
+    pub to: f64,
     /// The state guessed at the first event.
     pub state: Vec<f64>,
     /// Its standard deviation; large where nothing is known.
@@ -69,13 +73,28 @@ struct Tape {
     start_variance: Vec<F64x16>,
     /// Transitions, states × states each; gradients of readings and gains, one per state each.
     numbers: Vec<F64x16>,
+    /// Which entries of transitions can differ from zero.
+    patterns: Vec<Pattern>,
+    /// Which states readings depend on, reading after reading.
+    seen: Vec<usize>,
 }
 
 /// One step of a tape; offsets point into its numbers.
 #[derive(Clone, Debug)]
 enum Tick {
-    Advance { dt: F64x16, by_state: usize },
-    Read { by_state: usize, gain: usize, innovation: F64x16, output: [u8; LANES], counts: F64x16 },
+    Advance {
+        dt: F64x16,
+        by_state: usize,
+        pattern: usize,
+    },
+    Read {
+        by_state: usize,
+        seen: Range<usize>,
+        gain: usize,
+        innovation: F64x16,
+        output: [u8; LANES],
+        counts: F64x16,
+    },
 }
 
 /// A lane that reads nothing.
@@ -111,6 +130,32 @@ struct Found {
     state: Vec<f64>,
 }
 
+impl Found {
+    /// The readings in the order of their stamps and outputs: the same for every hypothesis, whatever delays it has.
+    fn in_order(self) -> Self {
+        let mut order: Vec<usize> = (0..self.stamp.len()).collect();
+        let key = |k: usize| (self.stamp[k], self.output[k]);
+        let sorted = |a: usize, b: usize| key(a).0.total_cmp(&key(b).0).then(key(a).1.cmp(&key(b).1));
+        if order.windows(2).all(|pair| sorted(pair[0], pair[1]).is_le()) {
+            return self;
+        }
+        order.sort_by(|a, b| sorted(*a, *b));
+        let rows = |of: &[f64]| {
+            let width = of.len() / order.len();
+            order.iter().flat_map(|k| of[k * width..(k + 1) * width].iter().copied()).collect()
+        };
+        Found {
+            innovation: rows(&self.innovation),
+            variance: rows(&self.variance),
+            by_parameter: rows(&self.by_parameter),
+            output: order.iter().map(|k| self.output[*k]).collect(),
+            stamp: rows(&self.stamp),
+            event: order.iter().map(|k| self.event[*k]).collect(),
+            state: rows(&self.state),
+        }
+    }
+}
+
 fn walk_group(run: &mut dyn Run, group: &[Start], scale: &[f64], noise: &Noise, pass: &mut Pass) {
     let (n, p) = (pass.states, pass.parameters);
     let zero = F64x16::splat(0.0);
@@ -134,7 +179,7 @@ fn walk_group(run: &mut dyn Run, group: &[Start], scale: &[f64], noise: &Noise, 
     }
     tape.start_variance = variance;
     let mut found: Vec<Found> = group.iter().map(|_| Found::default()).collect();
-    let (mut row, mut gain, mut scratch) = (Vec::new(), vec![zero; n], vec![zero; 2 * n * n]);
+    let (mut row, mut gain, mut scratch) = (Gradient::default(), vec![zero; n], vec![zero; 2 * n * n]);
     let longest = group.iter().map(|s| s.end - s.first).max().unwrap_or(0);
     for tick in 0..longest {
         let (mut reads, mut steps): (At, At) = ([None; LANES], [None; LANES]);
@@ -144,7 +189,7 @@ fn walk_group(run: &mut dyn Run, group: &[Start], scale: &[f64], noise: &Noise, 
             if index >= start.end {
                 continue;
             }
-            if run.events()[index].reading.is_some() {
+            if run.events()[index].reading.is_some_and(|r| r.stamp < start.to) {
                 reads[lane] = Some(index);
             }
             if index + 1 < start.end {
@@ -166,8 +211,12 @@ fn walk_group(run: &mut dyn Run, group: &[Start], scale: &[f64], noise: &Noise, 
                 counts[lane] = f64::from(u8::from(reading.stamp >= start.counts_from));
                 output[lane] = reading.output as u8;
             }
+            let seen = tape.seen.len();
+            tape.seen.extend(row.live.iter().take_while(|state| *state < n));
+            let seen = seen..tape.seen.len();
             let spread = Level::widest().run(Read {
                 row: &row,
+                seen: &tape.seen[seen.clone()],
                 innovation: &innovation,
                 noise: &noise,
                 active: &active,
@@ -185,16 +234,16 @@ fn walk_group(run: &mut dyn Run, group: &[Start], scale: &[f64], noise: &Noise, 
                 }
                 found.innovation.push(innovation[lane]);
                 found.variance.push(spread[lane]);
-                found.by_parameter.extend(row[n..].iter().map(|d| -d[lane]));
+                found.by_parameter.extend(row.by[n..].iter().map(|d| -d[lane]));
                 found.output.push(reading.output);
                 found.stamp.push(reading.stamp);
                 found.event.push(index);
                 found.state.extend(motion.x.iter().map(|x| x[lane]));
             }
             let by_state = tape.numbers.len();
-            tape.numbers.extend_from_slice(&row[..n]);
+            tape.numbers.extend_from_slice(&row.by[..n]);
             tape.numbers.extend_from_slice(&gain);
-            tape.ticks.push(Tick::Read { by_state, gain: by_state + n, innovation, output, counts });
+            tape.ticks.push(Tick::Read { by_state, seen, gain: by_state + n, innovation, output, counts });
         }
         if steps.iter().any(Option::is_some) {
             run.advance_lanes(&steps, &mut motion);
@@ -202,18 +251,27 @@ fn walk_group(run: &mut dyn Run, group: &[Start], scale: &[f64], noise: &Noise, 
             for i in 0..n {
                 tape.numbers.extend_from_slice(&motion.by[i * (n + p)..i * (n + p) + n]);
             }
+            let pattern = match tape.patterns.iter().position(|pattern| pattern.fits(&motion.live)) {
+                Some(known) => known,
+                None => {
+                    tape.patterns.push(Pattern::new(&motion.live));
+                    tape.patterns.len() - 1
+                }
+            };
             Level::widest().run(Covariance {
+                pattern: &tape.patterns[pattern],
                 by_state: &tape.numbers[by_state..],
                 dt: &dt,
                 intensity: &intensity,
                 covariance: &mut covariance,
                 scratch: &mut scratch,
             });
-            tape.ticks.push(Tick::Advance { dt, by_state });
+            tape.ticks.push(Tick::Advance { dt, by_state, pattern });
             motion.reseed();
         }
     }
-    for mut found in found {
+    for found in found {
+        let mut found = found.in_order();
         pass.innovation.append(&mut found.innovation);
         pass.variance.append(&mut found.variance);
         pass.by_parameter.append(&mut found.by_parameter);

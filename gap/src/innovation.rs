@@ -84,7 +84,7 @@ fn stretches(simulator: &dyn Simulator, run: &dyn Run, segments: &[Segment], out
             let place = if pieces == 1 { Some((first, end)) } else { locate(run.events(), late, from, to) };
             let Some((first, end)) = place else { continue };
             let (state, std) = simulator.start(&segment.state, &segment.std, run.events()[first].time);
-            starts.push(Start { first, end, counts_from, state, std });
+            starts.push(Start { first, end, counts_from, to, state, std });
         }
     }
     starts
@@ -101,6 +101,19 @@ pub fn walk(
     let mut run = simulator.run(theta);
     let starts = stretches(simulator, &*run, segments, model.limits.len());
     filter(&mut *run, &starts, simulator.states(), simulator.parameters(), &model.scale, noise)
+}
+
+/// The same walk without derivatives by θ, which are most of the work.
+pub fn walk_plain(
+    simulator: &dyn Simulator,
+    segments: &[Segment],
+    model: &NoiseModel,
+    noise: &Noise,
+    theta: &[f64],
+) -> Pass {
+    let mut run = simulator.run_at(theta);
+    let starts = stretches(simulator, &*run, segments, model.limits.len());
+    filter(&mut *run, &starts, simulator.states(), 0, &model.scale, noise)
 }
 
 /// Fits a hypothesis from one starting point.

@@ -8,6 +8,10 @@ pub const WORTH: f64 = 10.0;
 /// Share of an output's squared error that a further effect must close where no hypothesis reaches the noise.
 const CLOSED: f64 = 0.4;
 
+/// Share of the gap's square that a further effect must close: what is less may as well be the form of the first one,
+/// which nobody knows to the last percent.
+const MATERIAL: f64 = 0.005;
+
 /// The judge of all hypotheses on one log.
 ///
 /// Where some hypothesis reaches the sensors' noise, both losses are likelihoods of the data, and their mean decides:
@@ -18,6 +22,8 @@ const CLOSED: f64 = 0.4;
 pub struct Judge {
     independence: f64,
     exact: bool,
+    /// The null model's mean squared residual beyond the noise, in noise units squared.
+    gap: f64,
     /// The number of states of the nominal model.
     states: usize,
     /// What a hypothesis without further states costs by windows and by innovations: where others have further ones,
@@ -47,7 +53,8 @@ impl Judge {
             plain = same.min_by(|a, b| a.shooting_cost.total_cmp(&b.shooting_cost)).unwrap_or(null);
         }
         let plain = (plain.shooting_cost, plain.innovation.evidence_cost);
-        Judge { independence: best.independence, exact, states, plain, bounded }
+        let gap = (null.shooting_error - 1.0).max(0.0);
+        Judge { independence: best.independence, exact, gap, states, plain, bounded }
     }
 
     /// Whether `fit`, which has more effects than `base`, is worth them.
@@ -57,6 +64,9 @@ impl Judge {
     #[must_use]
     pub fn is_worth(&self, fit: &Fit, base: &Fit) -> bool {
         if self.cost(fit) >= self.cost(base) - WORTH {
+            return false;
+        }
+        if base.shooting_error - fit.shooting_error < MATERIAL * self.gap && base.shooting_error <= INEXACT {
             return false;
         }
         let closes = |(after, before): (&f64, &f64)| *after < (1.0 - CLOSED) * before;

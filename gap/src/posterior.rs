@@ -22,6 +22,9 @@ const PRIOR_UNKNOWN: f64 = 0.1;
 /// Prior probability that a cause has a further effect beside it, shared by all that it might be.
 const PRIOR_FURTHER: f64 = 0.3;
 
+/// Share of the gap's square up to which what a residual explains beyond a named cause may be its form.
+const MATERIAL: f64 = 0.1;
+
 /// Difference of −2 log evidence that says nothing.
 const EVEN: f64 = 1.0;
 
@@ -142,7 +145,16 @@ pub fn weigh(
         *first = first.max(log_weight(together, each * weight(&fits[0]) * PRIOR_UNKNOWN));
     }
     let log_null = PRIOR_NO_GAP.ln();
-    let log_unknown = alone.as_ref().map_or(f64::NEG_INFINITY, |fit| log_weight(fit, PRIOR_UNKNOWN));
+    let mut log_unknown = alone.as_ref().map_or(f64::NEG_INFINITY, |fit| log_weight(fit, PRIOR_UNKNOWN));
+    if let (Some(alone), Some(best), Some(log)) = (&alone, fits.first(), logs.first()) {
+        // What a residual explains beyond a named cause is evidence against it only if it is material: no effect has
+        // exactly the form that the library gives it.
+        let material = MATERIAL * (null.shooting_error - 1.0).max(0.0);
+        let beyond = (best.shooting_error - alone.shooting_error).max(0.0);
+        if beyond < material && judge.cost(best) < judge.cost(null) {
+            log_unknown = log_unknown.min(log + (beyond / material).max(1e-6).ln());
+        }
+    }
     // A residual that the evidence does not ask for would only fit noise.
     let together = together.filter(|t| fits.first().is_some_and(|best| judge.cost(t) < judge.cost(best)));
     let largest = logs.iter().copied().fold(log_null.max(log_unknown), f64::max);

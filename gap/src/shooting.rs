@@ -8,7 +8,7 @@ use parallax_model::Scalar;
 use parallax_model::lanes::{F64x16, InMemory, Kernel, Level, Simd};
 
 use crate::fit::Local;
-use crate::simulator::{At, Event, LANES, Motion, Run, Simulator, wrapped};
+use crate::simulator::{At, Event, Gradient, LANES, Motion, Run, Simulator, wrapped};
 
 /// A window: readings whose stamps lie in `[from, to)`, and the state guessed at its first one.
 #[derive(Clone, Debug)]
@@ -156,7 +156,7 @@ struct Normal {
     /// Jᵀe over the same.
     gradient: Vec<F64x16>,
     motion: Motion,
-    row: Vec<F64x16>,
+    row: Gradient,
 }
 
 impl Normal {
@@ -169,7 +169,7 @@ impl Normal {
             information: vec![zero; columns * (columns + 1) / 2],
             gradient: vec![zero; columns],
             motion: Motion::new(n, n, p),
-            row: Vec::new(),
+            row: Gradient::default(),
         }
     }
 
@@ -462,7 +462,7 @@ fn backward(l: &[f64], n: usize, x: &mut [f64]) {
 /// Adds a reading of each lane to the normal equations; lanes of weight zero add nothing, whatever they hold.
 struct Accumulate<'a> {
     /// Derivatives of the prediction.
-    row: &'a [F64x16],
+    row: &'a Gradient,
     error: &'a F64x16,
     weight: &'a F64x16,
     squares: &'a mut F64x16,
@@ -475,7 +475,7 @@ impl Kernel for Accumulate<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self) {
-        let row = F64x16::registers::<S>(self.row);
+        let row = F64x16::registers::<S>(&self.row.by);
         let information = F64x16::registers_mut::<S>(self.information);
         let gradient = F64x16::registers_mut::<S>(self.gradient);
         let error = <F64x16 as InMemory>::load::<S>(self.error);
@@ -485,16 +485,15 @@ impl Kernel for Accumulate<'_> {
         let squares = <F64x16 as InMemory>::load::<S>(self.squares);
         let weighted = error * weight;
         <F64x16 as InMemory>::store::<S>(self.squares, squares + error * weighted);
-        let mut at = 0;
-        for (i, by) in row.iter().enumerate() {
-            let by = Scalar::select(rests, zero, *by);
+        for i in self.row.live.iter() {
+            let by = Scalar::select(rests, zero, row[i]);
             // The residual is the reading less the prediction.
             gradient[i] -= by * weighted;
             let scaled = by * weight;
-            for other in &row[..=i] {
-                let other = Scalar::select(rests, zero, *other);
-                information[at] += scaled * other;
-                at += 1;
+            let first = i * (i + 1) / 2;
+            for j in self.row.live.iter().take_while(|j| *j <= i) {
+                let other = Scalar::select(rests, zero, row[j]);
+                information[first + j] += scaled * other;
             }
         }
     }

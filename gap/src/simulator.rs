@@ -6,6 +6,8 @@
 
 use parallax_model::lanes::F64x16;
 
+use crate::machine::columns::Columns;
+
 /// One thing that happens in a log, in the order of time: a command changes or a reading is taken.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Event {
@@ -75,6 +77,26 @@ pub struct Motion {
     pub seeds: usize,
     /// How many columns there are.
     pub columns: usize,
+    /// The columns of each state that can differ from zero; the others are zero.
+    pub live: Vec<Columns>,
+}
+
+/// The derivatives of a reading on lanes by the seeds and θ.
+#[derive(Clone, Debug, Default)]
+pub struct Gradient {
+    /// One per column.
+    pub by: Vec<F64x16>,
+    /// The columns that can differ from zero.
+    pub live: Columns,
+}
+
+impl Gradient {
+    /// All zero.
+    pub fn reset(&mut self, columns: usize) {
+        self.by.clear();
+        self.by.resize(columns, F64x16::splat(0.0));
+        self.live = Columns::default();
+    }
 }
 
 impl Motion {
@@ -83,12 +105,14 @@ impl Motion {
     pub fn new(states: usize, seeds: usize, parameters: usize) -> Self {
         let zero = F64x16::splat(0.0);
         let columns = seeds + parameters;
-        Motion { x: vec![zero; states], by: vec![zero; states * columns], seeds, columns }
+        let live = vec![Columns::default(); states];
+        Motion { x: vec![zero; states], by: vec![zero; states * columns], seeds, columns, live }
     }
 
     /// Makes the present states the seeds; derivatives by θ start from zero.
     pub fn seed(&mut self) {
         self.by.fill(F64x16::splat(0.0));
+        self.live.fill(Columns::default());
         self.reseed();
     }
 
@@ -97,6 +121,12 @@ impl Motion {
         for (i, row) in self.by.chunks_mut(self.columns.max(1)).enumerate() {
             for (j, entry) in row.iter_mut().take(self.seeds).enumerate() {
                 *entry = F64x16::splat(f64::from(u8::from(i == j)));
+            }
+        }
+        for (i, live) in self.live.iter_mut().enumerate() {
+            live.clear_below(self.seeds);
+            if i < self.seeds {
+                live.insert(i);
             }
         }
     }
@@ -118,7 +148,7 @@ pub trait Run {
     fn advance_lanes(&mut self, at: &At, motion: &mut Motion);
     /// Predicts the reading of each lane's event, which must be one, from its states: the value, and in `by` the
     /// derivatives by seeds and θ.
-    fn observe_lanes(&mut self, at: &At, motion: &Motion, by: &mut Vec<F64x16>) -> F64x16;
+    fn observe_lanes(&mut self, at: &At, motion: &Motion, by: &mut Gradient) -> F64x16;
     /// The period of an output that is an angle (2π in rad), if it wraps.
     fn wrap(&self, output: usize) -> Option<f64>;
 
@@ -142,8 +172,9 @@ pub trait Run {
     fn observe(&mut self, index: usize, state: &[f64], prediction: &mut Prediction) {
         let n = state.len();
         let motion = single(state, self.parameters());
-        let mut by = Vec::new();
-        prediction.value = self.observe_lanes(&only(index), &motion, &mut by)[0];
+        let mut gradient = Gradient::default();
+        prediction.value = self.observe_lanes(&only(index), &motion, &mut gradient)[0];
+        let by = gradient.by;
         prediction.by_state.clear();
         prediction.by_state.extend(by[..n].iter().map(|d| d[0]));
         prediction.by_parameter.clear();

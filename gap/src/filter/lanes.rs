@@ -4,27 +4,62 @@ use parallax_model::Scalar;
 use parallax_model::lanes::{F64x16, InMemory, Kernel, Simd};
 
 use super::{NOTHING, Tape, Tick};
-use crate::simulator::{LANES, Motion};
+use crate::machine::columns::Columns;
+use crate::simulator::{Gradient, LANES, Motion};
+
+/// The entries of a matrix that can differ from zero, row by row.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Pattern(Vec<Vec<usize>>);
+
+impl Pattern {
+    /// Of the transition of `live.len()` states.
+    pub(super) fn new(live: &[Columns]) -> Self {
+        let n = live.len();
+        Pattern(live.iter().map(|row| row.iter().take_while(|k| *k < n).collect()).collect())
+    }
+
+    /// Whether it is that of these transitions.
+    pub(super) fn fits(&self, live: &[Columns]) -> bool {
+        let n = live.len();
+        self.0.len() == n
+            && self
+                .0
+                .iter()
+                .zip(live)
+                .all(|(own, row)| row.iter().take_while(|k| *k < n).eq(own.iter().copied()))
+    }
+}
 
 /// P ← Φ P Φᵀ + dt (Φ_½ B Φ_½ᵀ), with Φ_½ = (I + Φ)/2: the noise enters, on average, in the middle of the step.
 #[inline(always)]
-fn propagate<T: Scalar>(n: usize, phi: &[T], dt: T, intensity: &[f64], p: &mut [T], scratch: &mut [T]) {
+fn propagate<T: Scalar>(
+    pattern: &Pattern,
+    phi: &[T],
+    dt: T,
+    intensity: &[f64],
+    p: &mut [T],
+    scratch: &mut [T],
+) {
     let zero = T::constant(0.0);
+    let n = intensity.len();
     let (moved, half) = scratch.split_at_mut(n * n);
-    for i in 0..n {
+    half.fill(zero);
+    for (i, row) in pattern.0.iter().enumerate() {
         for j in 0..n {
             let mut sum = zero;
-            for k in 0..n {
+            for k in row {
                 sum += phi[i * n + k] * p[k * n + j];
             }
             moved[i * n + j] = sum;
-            half[i * n + j] = (phi[i * n + j] + f64::from(u8::from(i == j))) * 0.5;
+        }
+        for k in row {
+            half[i * n + k] = (phi[i * n + k] + f64::from(u8::from(i == *k))) * 0.5;
         }
     }
     for i in 0..n {
         for j in 0..=i {
             let (mut value, mut added) = (zero, zero);
-            for k in 0..n {
+            for &k in &pattern.0[j] {
                 value += moved[i * n + k] * phi[j * n + k];
                 if intensity[k] > 0.0 {
                     added += half[i * n + k] * half[j * n + k] * intensity[k];
@@ -37,18 +72,21 @@ fn propagate<T: Scalar>(n: usize, phi: &[T], dt: T, intensity: &[f64], p: &mut [
     }
 }
 
-/// Variance of the innovation of a reading with gradient `h`; the gain of lanes that read, zero in the others.
+/// Variance of the innovation of a reading with gradient `h`, which is zero but for the states `seen`; the gain of lanes that read, zero in the others.
 #[inline(always)]
-fn innovate<T: Scalar>(n: usize, h: &[T], noise: T, rests: T::Mask, p: &[T], gain: &mut [T]) -> T {
+fn innovate<T: Scalar>(seen: &[usize], h: &[T], noise: T, rests: T::Mask, p: &[T], gain: &mut [T]) -> T {
     let zero = T::constant(0.0);
+    let n = gain.len();
     let mut variance = noise;
     for i in 0..n {
         let mut sum = zero;
-        for j in 0..n {
+        for &j in seen {
             sum += p[i * n + j] * h[j];
         }
         gain[i] = sum;
-        variance += h[i] * sum;
+    }
+    for &i in seen {
+        variance += h[i] * gain[i];
     }
     for g in gain.iter_mut() {
         *g = T::select(rests, zero, *g / variance);
@@ -72,6 +110,7 @@ fn update<T: Scalar>(n: usize, gain: &[T], variance: T, rests: T::Mask, p: &mut 
 
 /// A step of the covariance.
 pub(super) struct Covariance<'a> {
+    pub(super) pattern: &'a Pattern,
     pub(super) by_state: &'a [F64x16],
     pub(super) dt: &'a F64x16,
     pub(super) intensity: &'a [f64],
@@ -85,7 +124,7 @@ impl Kernel for Covariance<'_> {
     #[inline(always)]
     fn run<S: Simd>(self) {
         propagate(
-            self.intensity.len(),
+            self.pattern,
             F64x16::registers::<S>(self.by_state),
             <F64x16 as InMemory>::load::<S>(self.dt),
             self.intensity,
@@ -98,7 +137,9 @@ impl Kernel for Covariance<'_> {
 /// A reading corrects the states and their sensitivities; gives the innovation's variance.
 pub(super) struct Read<'a> {
     /// Derivatives of the prediction by the states, then by θ.
-    pub(super) row: &'a [F64x16],
+    pub(super) row: &'a Gradient,
+    /// The states that the reading depends on.
+    pub(super) seen: &'a [usize],
     pub(super) innovation: &'a F64x16,
     pub(super) noise: &'a F64x16,
     /// 1 in the lanes that read.
@@ -115,7 +156,7 @@ impl Kernel for Read<'_> {
     fn run<S: Simd>(self) -> F64x16 {
         let n = self.gain.len();
         let columns = self.motion.columns;
-        let row = F64x16::registers::<S>(self.row);
+        let row = F64x16::registers::<S>(&self.row.by);
         let gain = F64x16::registers_mut::<S>(self.gain);
         let p = F64x16::registers_mut::<S>(self.covariance);
         let x = F64x16::registers_mut::<S>(&mut self.motion.x);
@@ -124,12 +165,13 @@ impl Kernel for Read<'_> {
         let rests = <F64x16 as InMemory>::load::<S>(self.active)
             .eq(<F64x16 as InMemory>::load::<S>(&F64x16::splat(0.0)));
         let noise = <F64x16 as InMemory>::load::<S>(self.noise);
-        let variance = innovate(n, &row[..n], noise, rests, p, gain);
+        let variance = innovate(self.seen, &row[..n], noise, rests, p, gain);
         for i in 0..n {
             x[i] += gain[i] * innovation;
-            for (to, d) in by[i * columns + n..(i + 1) * columns].iter_mut().zip(&row[n..]) {
+            for column in self.row.live.iter().skip_while(|column| *column < n) {
                 // The innovation is the reading less the prediction.
-                *to -= gain[i] * *d;
+                by[i * columns + column] -= gain[i] * row[column];
+                self.motion.live[i].insert(column);
             }
         }
         update(n, gain, variance, rests, p);
@@ -167,20 +209,21 @@ impl Kernel for CostAt<'_> {
         let mut cost = zero;
         for tick in &self.tape.ticks {
             match tick {
-                Tick::Advance { dt, by_state } => {
+                Tick::Advance { dt, by_state, pattern } => {
                     let phi = &numbers[*by_state..*by_state + n * n];
                     let dt = <F64x16 as InMemory>::load::<S>(dt);
-                    propagate(n, phi, dt, self.intensity, &mut p, &mut scratch);
+                    let pattern = &self.tape.patterns[*pattern];
+                    propagate(pattern, phi, dt, self.intensity, &mut p, &mut scratch);
                     for i in 0..n {
                         let mut sum = zero;
-                        for k in 0..n {
+                        for &k in &pattern.0[i] {
                             sum += phi[i * n + k] * deviation[k];
                         }
                         moved[i] = sum;
                     }
                     deviation.copy_from_slice(&moved);
                 }
-                Tick::Read { by_state, gain: stored, innovation, output, counts } => {
+                Tick::Read { by_state, seen, gain: stored, innovation, output, counts } => {
                     let (mut noise, mut active) = (F64x16::splat(1.0), F64x16::splat(0.0));
                     for lane in (0..LANES).filter(|lane| output[*lane] != NOTHING) {
                         noise[lane] = self.output[output[lane] as usize];
@@ -190,9 +233,10 @@ impl Kernel for CostAt<'_> {
                     let noise = <F64x16 as InMemory>::load::<S>(&noise);
                     let recorded = <F64x16 as InMemory>::load::<S>(innovation);
                     let h = &numbers[*by_state..*by_state + n];
-                    let variance = innovate(n, h, noise, rests, &p, &mut gain);
+                    let seen = &self.tape.seen[seen.clone()];
+                    let variance = innovate(seen, h, noise, rests, &p, &mut gain);
                     let mut innovation = recorded;
-                    for i in 0..n {
+                    for &i in seen {
                         innovation -= h[i] * deviation[i];
                     }
                     for i in 0..n {

@@ -4,13 +4,16 @@
 //! obey the variational equations, S' = (∂f/∂x) S + ∂f/∂θ (Hairer, Nørsett & Wanner, "Solving Ordinary Differential
 //! Equations I", section I.14), by the same Runge–Kutta method: the derivatives are those of the numbers computed.
 
+pub mod columns;
+mod plan;
 pub mod tape;
 
 use parallax_model::Scalar;
 use parallax_model::lanes::{F64x16, InMemory, Kernel, Level, Simd};
 use parallax_model::program::Program;
 
-use crate::simulator::Motion;
+use crate::simulator::{Gradient, Motion};
+use plan::Plan;
 use tape::{Entry, Rhythm, Tape};
 
 /// What a program's inputs are, in order: parameters, states, commands, time.
@@ -155,8 +158,12 @@ pub struct Machine<'a> {
     next_by: Vec<F64x16>,
     sum: Vec<F64x16>,
     sum_by: Vec<F64x16>,
-    row: Vec<F64x16>,
+    /// Plans for the sensitivities met so far, of which there are few.
+    plans: Vec<Plan>,
 }
+
+/// Most plans that are kept.
+const PLANS: usize = 8;
 
 impl<'a> Machine<'a> {
     /// A machine at these parameters, the same on all lanes.
@@ -173,7 +180,7 @@ impl<'a> Machine<'a> {
             next_by: Vec::new(),
             sum: vec![zero; field.layout.states],
             sum_by: Vec::new(),
-            row: Vec::new(),
+            plans: Vec::new(),
         };
         let lanes: Vec<F64x16> = parameters.iter().map(|v| F64x16::splat(*v)).collect();
         machine.set_parameters(&lanes);
@@ -200,24 +207,43 @@ impl<'a> Machine<'a> {
         for space in [&mut self.at_by, &mut self.next_by, &mut self.sum_by] {
             space.resize(size, zero);
         }
-        self.row.resize(motion.columns, zero);
+        let timed: &[usize] = if motion.columns > motion.seeds { &drive.timed } else { &[] };
+        let known = self.plans.iter().position(|plan| plan.fits(&motion.live, motion.columns));
+        let plan = known.unwrap_or_else(|| {
+            if self.plans.len() >= PLANS {
+                self.plans.clear();
+            }
+            let equation = &self.field.derivative;
+            self.plans.push(Plan::new(equation, &motion.live, motion.seeds, motion.columns, timed));
+            self.plans.len() - 1
+        });
+        motion.live.clone_from(&self.plans[plan].after);
         let layout = self.field.layout;
         let commands = layout.parameters + layout.states;
         self.slots[commands..commands + layout.commands].copy_from_slice(&drive.commands);
-        Level::widest().run(Advance { machine: self, drive, motion });
+        Level::widest().run(Advance { machine: self, plan, timed, drive, motion });
     }
 
     /// Predicts a reading on the lanes: its value, and in `by` its derivatives, seeds first.
-    pub fn observe(&mut self, output: usize, drive: &Drive, motion: &Motion, by: &mut Vec<F64x16>) -> F64x16 {
+    pub fn observe(&mut self, output: usize, drive: &Drive, motion: &Motion, by: &mut Gradient) -> F64x16 {
         let layout = self.field.layout;
         let slots = &mut self.output_slots[output];
         let (states, commands) = (layout.parameters, layout.parameters + layout.states);
         slots[states..commands].copy_from_slice(&motion.x);
         slots[commands..commands + layout.commands].copy_from_slice(&drive.commands);
         slots[commands + layout.commands] = drive.time;
-        by.clear();
-        by.resize(motion.columns, F64x16::splat(0.0));
-        Level::widest().run(Observe { equation: &self.field.outputs[output], slots, drive, motion, by })
+        let equation = &self.field.outputs[output];
+        let timed: &[usize] = if motion.columns > motion.seeds { &drive.timed } else { &[] };
+        by.reset(motion.columns);
+        let row = &equation.rows[0];
+        for (state, _) in &row.by_state {
+            by.live.extend(&motion.live[*state]);
+        }
+        if motion.columns > motion.seeds {
+            row.by_theta.iter().for_each(|(j, _)| by.live.insert(motion.seeds + j));
+            timed.iter().for_each(|j| by.live.insert(motion.seeds + j));
+        }
+        Level::widest().run(Observe { equation, slots, timed, drive, motion, by: &mut by.by })
     }
 }
 
@@ -242,64 +268,36 @@ fn times<T: Scalar>(entry: Entry, slots: &[T], value: T) -> T {
     }
 }
 
-/// Derivatives of one row: (∂/∂x) S + ∂/∂θ, through commands and time as well.
-#[inline(always)]
-fn total<T: Scalar>(
-    row: &Row,
-    slots: &[T],
-    by: &[T],
-    seeds: usize,
-    outer: (&[usize], &[T], &[T], &[T], f64),
-    out: &mut [T],
-) {
-    let width = out.len();
-    let mut fresh = true;
-    for (state, entry) in &row.by_state {
-        let from = &by[state * width..(state + 1) * width];
-        match (entry, fresh) {
-            (Entry::One, true) => out.copy_from_slice(from),
-            (Entry::One, false) => out.iter_mut().zip(from).for_each(|(o, f)| *o += *f),
-            (Entry::Slot(slot), true) => {
-                let factor = slots[*slot as usize];
-                out.iter_mut().zip(from).for_each(|(o, f)| *o = factor * *f);
-            }
-            (Entry::Slot(slot), false) => {
-                let factor = slots[*slot as usize];
-                out.iter_mut().zip(from).for_each(|(o, f)| *o += factor * *f);
-            }
+/// Derivatives of what drives a row, by those entries of θ that commands and times depend on.
+#[derive(Clone, Copy)]
+struct Outer<'a, T> {
+    commands_by: &'a [T],
+    time_by: &'a [T],
+    step_by: &'a [T],
+    /// Steps from the start of the interval to the stage.
+    share: f64,
+}
+
+impl<T: Scalar> Outer<'_, T> {
+    /// The `k`-th of `count` derivatives of a row, through commands and time.
+    #[inline(always)]
+    fn of(&self, row: &Row, slots: &[T], k: usize, count: usize) -> T {
+        let mut sum = T::constant(0.0);
+        for (command, entry) in &row.by_command {
+            sum += times(*entry, slots, self.commands_by[command * count + k]);
         }
-        fresh = false;
-    }
-    if fresh {
-        out.fill(T::constant(0.0));
-    }
-    if width == seeds {
-        return;
-    }
-    for (j, entry) in &row.by_theta {
-        out[seeds + j] += match entry {
-            Entry::One => T::constant(1.0),
-            Entry::Slot(slot) => slots[*slot as usize],
-        };
-    }
-    let (timed, commands_by, time_by, step_by, share) = outer;
-    if timed.is_empty() {
-        return;
-    }
-    for (command, entry) in &row.by_command {
-        for (k, j) in timed.iter().enumerate() {
-            out[seeds + j] += times(*entry, slots, commands_by[command * timed.len() + k]);
+        if let Some(entry) = row.by_time {
+            sum += times(entry, slots, self.time_by[k] + self.step_by[k] * self.share);
         }
-    }
-    if let Some(entry) = row.by_time {
-        for (k, j) in timed.iter().enumerate() {
-            out[seeds + j] += times(entry, slots, time_by[k] + step_by[k] * share);
-        }
+        sum
     }
 }
 
 struct Advance<'a, 'f> {
     machine: &'a mut Machine<'f>,
+    /// Index of the plan.
+    plan: usize,
+    timed: &'a [usize],
     drive: &'a Drive,
     motion: &'a mut Motion,
 }
@@ -309,12 +307,13 @@ impl Kernel for Advance<'_, '_> {
 
     #[inline(always)]
     fn run<S: Simd>(self) {
-        let Advance { machine, drive, motion } = self;
+        let Advance { machine, plan, timed, drive, motion } = self;
         let layout = machine.field.layout;
         let n = layout.states;
         let (first, time_at) = (layout.parameters, layout.parameters + n + layout.commands);
         let equation = &machine.field.derivative;
         let (seeds, width) = (motion.seeds, motion.columns);
+        let plan = &machine.plans[plan];
         let slots = F64x16::registers_mut::<S>(&mut machine.slots);
         let x = F64x16::registers_mut::<S>(&mut motion.x);
         let by = F64x16::registers_mut::<S>(&mut motion.by);
@@ -323,21 +322,17 @@ impl Kernel for Advance<'_, '_> {
         let mut next_by = F64x16::registers_mut::<S>(&mut machine.next_by);
         let sum = F64x16::registers_mut::<S>(&mut machine.sum);
         let sum_by = F64x16::registers_mut::<S>(&mut machine.sum_by);
-        let row = F64x16::registers_mut::<S>(&mut machine.row);
         let commands_by = F64x16::registers::<S>(&drive.commands_by);
         let time_by = F64x16::registers::<S>(&drive.time_by);
         let step_by = F64x16::registers::<S>(&drive.step_by);
         let step = <F64x16 as InMemory>::load::<S>(&drive.step);
         let start = <F64x16 as InMemory>::load::<S>(&drive.time);
-        let timed: &[usize] = if width > seeds { &drive.timed } else { &[] };
         equation.tape.run(Rhythm::Held, slots);
         for count in 0..drive.steps {
             // Steps before this one.
             let before = count as f64;
             at.copy_from_slice(x);
-            at_by.copy_from_slice(by);
             sum.copy_from_slice(x);
-            sum_by.copy_from_slice(by);
             // Where the next stage is evaluated, and the weight of this one.
             for (stage, (reach, weight)) in
                 [(0.5, 1.0 / 6.0), (0.5, 1.0 / 3.0), (1.0, 1.0 / 3.0), (0.0, 1.0 / 6.0)]
@@ -349,35 +344,41 @@ impl Kernel for Advance<'_, '_> {
                 slots[time_at] = start + step * share;
                 equation.tape.run(Rhythm::Moving, slots);
                 let (far, part) = (step * reach, step * weight);
-                let last = stage == 3;
                 for i in 0..n {
                     let slope = slots[equation.tape.outputs[i] as usize];
                     sum[i] += slope * part;
                     at[i] = x[i] + slope * far;
-                    if width == 0 {
-                        continue;
-                    }
-                    let outer = (timed, commands_by, time_by, step_by, share);
-                    total(&equation.rows[i], slots, at_by, seeds, outer, row);
-                    let range = i * width..(i + 1) * width;
-                    for (s, k) in sum_by[range.clone()].iter_mut().zip(&*row) {
-                        *s += *k * part;
-                    }
-                    if !last {
-                        let (to, from) = (&mut next_by[range.clone()], &by[range.clone()]);
-                        for ((to, from), k) in to.iter_mut().zip(from).zip(&*row) {
-                            *to = *from + *k * far;
-                        }
-                    }
+                }
+                // The sensitivities follow the same rule; the first stage starts from them, the last one ends in them.
+                match stage {
+                    0 => plan.slopes(slots, by, |k, slope| {
+                        sum_by[k] = by[k] + slope * part;
+                        next_by[k] = by[k] + slope * far;
+                    }),
+                    3 => plan.slopes(slots, at_by, |k, slope| by[k] = sum_by[k] + slope * part),
+                    _ => plan.slopes(slots, at_by, |k, slope| {
+                        sum_by[k] += slope * part;
+                        next_by[k] = by[k] + slope * far;
+                    }),
+                }
+                let outer = Outer { commands_by, time_by, step_by, share };
+                for (i, row) in equation.rows.iter().enumerate().filter(|_| !timed.is_empty()) {
+                    let slope = slots[equation.tape.outputs[i] as usize];
                     for (k, j) in timed.iter().enumerate() {
-                        sum_by[i * width + seeds + j] += slope * (step_by[k] * weight);
-                        next_by[i * width + seeds + j] += slope * (step_by[k] * reach);
+                        let at = i * width + seeds + j;
+                        let more = outer.of(row, slots, k, timed.len());
+                        let weighed = more * part + slope * (step_by[k] * weight);
+                        if stage == 3 {
+                            by[at] += weighed;
+                        } else {
+                            sum_by[at] += weighed;
+                            next_by[at] += more * far + slope * (step_by[k] * reach);
+                        }
                     }
                 }
                 std::mem::swap(&mut at_by, &mut next_by);
             }
             x.copy_from_slice(sum);
-            by.copy_from_slice(sum_by);
         }
     }
 }
@@ -385,6 +386,7 @@ impl Kernel for Advance<'_, '_> {
 struct Observe<'a> {
     equation: &'a Equation,
     slots: &'a mut [F64x16],
+    timed: &'a [usize],
     drive: &'a Drive,
     motion: &'a Motion,
     by: &'a mut [F64x16],
@@ -395,20 +397,34 @@ impl Kernel for Observe<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self) -> F64x16 {
-        let slots = F64x16::registers_mut::<S>(self.slots);
-        self.equation.tape.run(Rhythm::Held, slots);
-        self.equation.tape.run(Rhythm::Moving, slots);
-        let by = F64x16::registers_mut::<S>(self.by);
-        if !by.is_empty() {
-            let drive = self.drive;
-            let timed: &[usize] = if by.len() > self.motion.seeds { &drive.timed } else { &[] };
-            let time_by = F64x16::registers::<S>(&drive.time_by);
-            let outer = (timed, F64x16::registers::<S>(&drive.commands_by), time_by, time_by, 0.0);
-            let sensitivity = F64x16::registers::<S>(&self.motion.by);
-            total(&self.equation.rows[0], slots, sensitivity, self.motion.seeds, outer, by);
+        let Observe { equation, slots, timed, drive, motion, by } = self;
+        let slots = F64x16::registers_mut::<S>(slots);
+        equation.tape.run(Rhythm::Held, slots);
+        equation.tape.run(Rhythm::Moving, slots);
+        let by = F64x16::registers_mut::<S>(by);
+        let sensitivity = F64x16::registers::<S>(&motion.by);
+        let (row, width, seeds) = (&equation.rows[0], motion.columns, motion.seeds);
+        for (state, entry) in &row.by_state {
+            for column in motion.live[*state].iter() {
+                by[column] += times(*entry, slots, sensitivity[state * width + column]);
+            }
+        }
+        if width > seeds {
+            for (j, entry) in &row.by_theta {
+                by[seeds + j] += match entry {
+                    Entry::One => Scalar::constant(1.0),
+                    Entry::Slot(slot) => slots[*slot as usize],
+                };
+            }
+        }
+        let time_by = F64x16::registers::<S>(&drive.time_by);
+        let commands_by = F64x16::registers::<S>(&drive.commands_by);
+        let outer = Outer { commands_by, time_by, step_by: time_by, share: 0.0 };
+        for (k, j) in timed.iter().enumerate() {
+            by[seeds + j] += outer.of(row, slots, k, timed.len());
         }
         let mut value = F64x16::splat(0.0);
-        <F64x16 as InMemory>::store::<S>(&mut value, slots[self.equation.tape.outputs[0] as usize]);
+        <F64x16 as InMemory>::store::<S>(&mut value, slots[equation.tape.outputs[0] as usize]);
         value
     }
 }

@@ -147,7 +147,7 @@ fn judge(local: Local, wrap: Option<f64>, declared: Option<f64>, place: &str, un
     }
     if let Some(declared) = declared.filter(|_| clean.is_noise()) {
         let believed = (declared * declared + rounding * rounding).sqrt();
-        out.effects.push(excess(&noise, believed, place, unit));
+        out.effects.push(excess(&noise, believed, has_outliers, place, unit));
     }
     out
 }
@@ -196,11 +196,17 @@ fn log_normal(residual: f64, std: f64) -> f64 {
     -0.5 * (residual / std).powi(2) - (std * std::f64::consts::TAU.sqrt()).ln()
 }
 
-/// Noise beyond what is believed: a normal distribution of another width.
-fn excess(noise: &Noise, believed: f64, place: &str, unit: &str) -> ReadingEffect {
+/// Noise beyond what is believed: a normal distribution of another width. Where there are outliers, those too small to
+/// be marked would widen it; the median does not see them.
+fn excess(noise: &Noise, believed: f64, outliers: bool, place: &str, unit: &str) -> ReadingEffect {
     let learnt = &noise.residuals[..noise.learnt];
-    let squares: f64 = learnt.iter().map(|r| r * r).sum();
     let count = learnt.len() as f64;
+    let squares: f64 = if outliers {
+        let typical = 1.4826 * median(&mut learnt.iter().map(|r| r.abs()).collect::<Vec<_>>());
+        count * typical * typical
+    } else {
+        learnt.iter().map(|r| r * r).sum()
+    };
     let log = |std: f64| noise.independence * (-0.5 * squares / (std * std) - count * std.ln());
     let null = log(believed);
     let at = peak(believed, 1e3 * believed, |std| log(std) - null);

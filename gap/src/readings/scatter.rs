@@ -9,12 +9,13 @@ use parallax_model::effect::Place;
 use parallax_model::effect::PlaceKind;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
 
 use super::peak::peak;
 use super::{LogDensity, ReadingEffect, found};
 use crate::experiment::Held;
 use crate::filter::{Noise, Pass};
-use crate::innovation::{Segment, walk};
+use crate::innovation::{Segment, walk_plain};
 use crate::library;
 use crate::report::Value;
 use crate::search::Fit;
@@ -26,10 +27,10 @@ use crate::statistics::{median, root_mean_square};
 const WHITE: f64 = 0.25;
 
 /// Disturbed runs whose mean square stands for the variance.
-const RUNS: u64 = 12;
+const RUNS: u64 = 16;
 
 /// Readings on each side over which the mean square is smoothed.
-const SMOOTH: usize = 4;
+const SMOOTH: usize = 1;
 
 /// Readings on each side from which the rate of an output is taken.
 const RATE: usize = 2;
@@ -43,6 +44,9 @@ const OPEN: f64 = 12.0;
 /// Share of commands that is lost in the disturbed runs.
 const LOST: f64 = 0.1;
 
+/// Share of the strongest evidence below which scatter elsewhere counts as its trace.
+const TRACE: f64 = 0.1;
+
 /// Whitened innovations, and the standard deviation that one unit of an effect adds to each.
 struct Sensitivity {
     innovations: Vec<f64>,
@@ -51,14 +55,15 @@ struct Sensitivity {
 
 /// Scatter at every input and output under a fitted model of the mean: `jitter` of both, `drops` of inputs.
 ///
-/// Jitter and drops at one input leave nearly the same trace; only the likelier of the two can be significant.
+/// Jitter and drops at one input leave nearly the same trace; only the likelier of the two can be significant. Times that
+/// scatter at one place leave a weaker trace at others as well, which is not significant either.
 #[must_use]
 pub fn scatter(setup: &Setup, fit: &Fit) -> Vec<ReadingEffect> {
     let system = setup.equations.system();
     let segments = [&setup.train, &setup.test];
     let noise = open_noise(setup, fit);
     let passes = segments.map(|s| pass(setup, fit, &noise, s));
-    let mut effects = Vec::new();
+    let mut effects: Vec<ReadingEffect> = Vec::new();
     for (o, output) in system.outputs.iter().enumerate() {
         let place = Place::new(PlaceKind::Output, output.name.clone()).to_string();
         let [Some(train), Some(test)] = passes.each_ref().map(|p| of_reading(setup, p, o)) else { continue };
@@ -80,27 +85,28 @@ pub fn scatter(setup: &Setup, fit: &Fit) -> Vec<ReadingEffect> {
             let [train, test] = both;
             Some((train?, test?))
         };
-        let mut here = Vec::new();
         if let Some((train, test)) = disturbed(&|held, random| late(held, 0.3 * period, random), 0.3 * period)
         {
-            here.extend(judge("jitter", "spread", "s", (1e-6, f64::MAX), &train, &test, &place));
+            effects.extend(judge("jitter", "spread", "s", (1e-6, f64::MAX), &train, &test, &place));
         }
         // The variance grows with the rate, so that the size is for its root.
         if let Some((train, test)) = disturbed(&lossy, LOST.sqrt()) {
-            here.extend(judge("drops", "rate", "", (1e-3, 0.9), &train, &test, &place));
+            effects.extend(judge("drops", "rate", "", (1e-3, 0.9), &train, &test, &place));
         }
-        let best = here.iter().map(|e| e.evidence).fold(f64::INFINITY, f64::min);
-        for effect in &mut here {
-            effect.significant &= effect.evidence <= best;
-        }
-        effects.extend(here);
+    }
+    let best = |all: &mut dyn Iterator<Item = &ReadingEffect>| all.map(|e| e.evidence).fold(0.0, f64::min);
+    let strongest = best(&mut effects.iter());
+    let here: Vec<f64> =
+        effects.iter().map(|e| best(&mut effects.iter().filter(|o| o.place == e.place))).collect();
+    for (effect, here) in effects.iter_mut().zip(here) {
+        effect.significant &= effect.evidence <= here && effect.evidence < TRACE * strongest;
     }
     effects
 }
 
 fn pass(setup: &Setup, fit: &Fit, noise: &Noise, segments: &[Segment]) -> Pass {
     let simulator = library::simulator(setup, &fit.hypothesis, fit.residuals.clone());
-    walk(&simulator, segments, &setup.noise, noise, fit.theta())
+    walk_plain(&simulator, segments, &setup.noise, noise, fit.theta())
 }
 
 /// The fit's noise, with that of the readings free to exceed what is declared: times that scatter are noise to a filter
@@ -135,7 +141,7 @@ fn of_reading(setup: &Setup, pass: &Pass, output: usize) -> Option<Sensitivity> 
 }
 
 /// Disturbs a command at random.
-type Change<'a> = dyn Fn(&Held, &mut ChaCha8Rng) -> Held + 'a;
+type Change<'a> = dyn Fn(&Held, &mut ChaCha8Rng) -> Held + Sync + 'a;
 
 /// Mean square over disturbed runs of what a disturbance of a command adds to each whitened innovation; nothing where
 /// the runs do not predict the same readings.
@@ -143,15 +149,20 @@ fn disturbances(
     setup: &Setup,
     input: usize,
     change: &Change<'_>,
-    walked: &dyn Fn(&Setup) -> Pass,
+    walked: &(dyn Fn(&Setup) -> Pass + Sync),
     plain: &Pass,
 ) -> Option<Vec<f64>> {
     let mut squares = vec![0.0; plain.readings()];
-    for run in 0..RUNS {
-        let mut random = ChaCha8Rng::seed_from_u64(run);
-        let mut disturbed = setup.clone();
-        disturbed.experiment.inputs[input] = change(&setup.experiment.inputs[input], &mut random);
-        let other = walked(&disturbed);
+    let others: Vec<Pass> = (0..RUNS)
+        .into_par_iter()
+        .map(|run| {
+            let mut random = ChaCha8Rng::seed_from_u64(run);
+            let mut disturbed = setup.clone();
+            disturbed.experiment.inputs[input] = change(&setup.experiment.inputs[input], &mut random);
+            walked(&disturbed)
+        })
+        .collect();
+    for other in others {
         if other.stamp != plain.stamp {
             return None;
         }
