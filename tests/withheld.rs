@@ -9,7 +9,7 @@ use std::process::{Command, Output};
 use serde_json::Value;
 
 /// One single and one null, nothing else, from a seed for development.
-const TWO: [&str; 18] = [
+const TWO: [&str; 20] = [
     "--dev-seed",
     "5",
     "--singles",
@@ -27,6 +27,8 @@ const TWO: [&str; 18] = [
     "--short",
     "0",
     "--leave-out",
+    "0",
+    "--separate",
     "0",
 ];
 
@@ -75,6 +77,23 @@ fn two_cases_are_made_sealed_diagnosed_and_scored() {
         assert!(case.join("recording.toml").exists() && case.join("system.toml").exists());
     }
 
+    // An experiment is played on a case's machine by a command that says nothing of the cause.
+    let case = fs::read_dir(out.join("cases")).unwrap().next().unwrap().unwrap().file_name();
+    let second = out.join("second").join(&case);
+    fs::create_dir_all(&second).unwrap();
+    let experiment = r#"{"times": [0.0, 1.0], "duration": 2.0, "commands": {}}"#;
+    fs::write(second.join("experiment.json"), experiment).unwrap();
+    let play = |case: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_parallax"));
+        command.args(["withheld-play", "--case", case, "--out"]).arg(&out).output().unwrap()
+    };
+    let played = play(case.to_str().unwrap());
+    assert!(played.status.success() && played.stdout.is_empty(), "{played:?}");
+    let system = |folder: &Path| fs::read_to_string(folder.join("system.toml")).unwrap();
+    assert_eq!(system(&second), system(&out.join("cases").join(&case)));
+    assert!(!second.join("answers.json").exists() && second.join("recording.toml").exists());
+    assert_eq!(play("ghost").status.code(), Some(2));
+
     // A run in the same folder is refused; one that goes on with half of the results ends where the whole did.
     let refused = withheld(&out, &[]);
     assert_eq!(refused.status.code(), Some(2));
@@ -98,4 +117,10 @@ fn two_cases_are_made_sealed_diagnosed_and_scored() {
     let broken = withheld(&out, &["--resume"]);
     assert_eq!(broken.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&broken.stderr).contains("was changed after it was sealed"));
+
+    // Cases that no seal covers are not mixed with new ones.
+    fs::remove_file(out.join("answers.sha256")).unwrap();
+    let orphans = withheld(&out, &["--resume"]);
+    assert_eq!(orphans.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&orphans.stderr).contains("never sealed"));
 }

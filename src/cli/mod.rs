@@ -80,6 +80,9 @@ enum Command {
     /// Makes the cases of `parallax withheld` and seals their answers.
     #[command(name = withheld::TRUTH_COMMAND, hide = true)]
     WithheldTruth(withheld::truth::Arguments),
+    /// Plays a proposed experiment on a case's machine.
+    #[command(name = withheld::separate::PLAY_COMMAND, hide = true)]
+    WithheldPlay(withheld::separate::Arguments),
     /// One node of a run; the launcher starts it.
     #[command(name = NODE_COMMAND, hide = true)]
     Node {
@@ -104,6 +107,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Experiment(arguments) => experiment::run(&arguments),
         Command::Withheld(arguments) => withheld::run(&arguments),
         Command::WithheldTruth(arguments) => withheld::truth::run(&arguments),
+        Command::WithheldPlay(arguments) => withheld::separate::run(&arguments),
         Command::Sim(arguments) => sim::run(&arguments),
         Command::Replay(arguments) => replay::run(&arguments),
         Command::Import(arguments) => import::run(&arguments),

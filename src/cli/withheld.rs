@@ -10,6 +10,7 @@ mod judge;
 mod page;
 mod score;
 mod seal;
+pub(crate) mod separate;
 mod statistics;
 pub(crate) mod truth;
 
@@ -49,6 +50,10 @@ pub(crate) struct Arguments {
     /// Try the other methods on the same cases as well.
     #[arg(long)]
     baselines: bool,
+    /// Play the experiments proposed for up to N cases whose answer is a class of several effects, and diagnose again
+    /// with what they record. Shards share the number.
+    #[arg(long, value_name = "N", default_value_t = 40)]
+    separate: usize,
     /// Print the scores as JSON.
     #[arg(long)]
     json: bool,
@@ -115,7 +120,7 @@ fn sealed(arguments: &Arguments) -> Result<String, Failure> {
                 "{out} holds a run already; go on with --resume, or name another --out"
             )));
         }
-        None => {}
+        None => truth::refuse_orphans(&arguments.out.join(CASES))?,
     }
     let program = std::env::current_exe().runtime()?;
     let mut command = Command::new(program);
@@ -152,7 +157,11 @@ fn diagnose_all(arguments: &Arguments, folders: &[PathBuf]) -> Result<(), Failur
     let Shard { index, count } = arguments.shard;
     let done = results(&arguments.out)?;
     let mine = folders.iter().enumerate().filter(|(k, _)| k % count == index - 1).map(|(_, folder)| folder);
-    let open: Vec<&PathBuf> = mine.filter(|folder| !done.contains_key(&name(folder))).collect();
+    let mine: Vec<&PathBuf> = mine.collect();
+    let separated = |folder: &&&PathBuf| done.get(&name(folder)).is_some_and(|r| r.separation.is_some());
+    let mut to_separate =
+        arguments.separate.div_ceil(count).saturating_sub(mine.iter().filter(separated).count());
+    let open: Vec<&PathBuf> = mine.into_iter().filter(|folder| !done.contains_key(&name(folder))).collect();
     let path = arguments.out.join(format!("results-{index}-of-{count}.jsonl"));
     let mut file = std::fs::OpenOptions::new()
         .create(true)
@@ -162,7 +171,9 @@ fn diagnose_all(arguments: &Arguments, folders: &[PathBuf]) -> Result<(), Failur
         .map_err(Failure::input)?;
     let bar = output::progress("diagnosing", open.len() as u64);
     for folder in open {
-        let result = diagnose_case(folder, arguments.baselines);
+        let out = (to_separate > 0).then_some(arguments.out.as_path());
+        let result = diagnose_case(folder, arguments.baselines, out);
+        to_separate -= usize::from(result.separation.is_some());
         // A line break first: a line that an interruption cut short stays alone.
         let line = serde_json::to_string(&result).map_err(Failure::runtime)?;
         file.write_all(format!("\n{line}").as_bytes()).and_then(|()| file.flush()).runtime()?;

@@ -16,6 +16,7 @@ use parallax_runtime::recording::log::Log;
 use serde::{Deserialize, Serialize};
 
 use super::baselines::{self, BaselineResult};
+use super::separate::{Separation, separate};
 use super::truth::{CaseOptions, OPTIONS};
 
 /// What the diagnosis said of one case.
@@ -29,6 +30,9 @@ pub(crate) struct CaseResult {
     pub(crate) found: Option<Finding>,
     /// Why there was none.
     pub(crate) error: Option<String>,
+    /// What an experiment made of a class of several effects.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) separation: Option<Separation>,
     /// What the baselines said, by name.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub(crate) baselines: BTreeMap<String, BaselineResult>,
@@ -74,8 +78,9 @@ pub(crate) struct NamedEffect {
     pub(crate) parameters: BTreeMap<String, (f64, Option<f64>)>,
 }
 
-/// Diagnoses the case in `folder`; a failure, a panic included, is a result as well.
-pub(crate) fn diagnose_case(folder: &Path, with_baselines: bool) -> CaseResult {
+/// Diagnoses the case in `folder`; a failure, a panic included, is a result as well. Given the run's folder, a class of
+/// several effects is put to the experiment that is proposed for it.
+pub(crate) fn diagnose_case(folder: &Path, with_baselines: bool, run: Option<&Path>) -> CaseResult {
     let case = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let start = Instant::now();
     let result = guarded(|| {
@@ -85,7 +90,18 @@ pub(crate) fn diagnose_case(folder: &Path, with_baselines: bool) -> CaseResult {
     let seconds = start.elapsed().as_secs_f64();
     let mut out = CaseResult { case, seconds, ..CaseResult::default() };
     match result {
-        Ok(report) => out.found = Some(Finding::of(&report)),
+        Ok(report) => {
+            out.found = Some(Finding::of(&report));
+            if let Some(run) = run {
+                let again = || {
+                    let (system, log, options) = read(folder)?;
+                    Ok(separate(run, &out.case, &report, &system, &log, &options))
+                };
+                out.separation = guarded(again).unwrap_or_else(|error| {
+                    Some(Separation { error: Some(format!("{error:#}")), ..Separation::default() })
+                });
+            }
+        }
         Err(error) => out.error = Some(format!("{error:#}")),
     }
     if with_baselines && let Ok((system, log, _)) = read(folder) {

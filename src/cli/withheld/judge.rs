@@ -225,6 +225,21 @@ impl<'a> Case<'a> {
             && effects.iter().all(|e| Effect::from_name(&e.name).is_some_and(|effect| !effect.statistical()))
     }
 
+    /// What an experiment made of the answer's class, where the truth is one effect of the library: whether the truth was
+    /// in the class, and whether it is what is left.
+    pub(crate) fn separation(&self) -> Option<(bool, bool)> {
+        let separation = self.result.separation.as_ref()?;
+        match self.true_labels().as_slice() {
+            [truth] if !self.truth.left_out => Some((separation.held(truth), separation.right(truth))),
+            _ => None,
+        }
+    }
+
+    /// Whether the diagnosis failed.
+    pub(crate) fn failed(&self) -> bool {
+        self.result.found.is_none()
+    }
+
     /// What the leading answer is called in the confusion table: effects without their places.
     pub(crate) fn said(&self) -> String {
         match self.ranking().first() {

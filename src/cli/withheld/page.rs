@@ -46,7 +46,8 @@ pub(crate) fn markdown(scores: &Scores) -> String {
     page += &format!(
         "A case is detectable where twice the log-likelihood ratio of the true effect to the best refit, by the generator's own code, is \
          {DETECTABLE} or more. Classes are the generator's as well. Shares have Wilson's 95 % intervals, all else \
-         percentiles of a bootstrap over the cases. Diagnoses that fail count as wrong.\n\n"
+         percentiles of a bootstrap over the cases. A cause that never acts in its recording is drawn again. Diagnoses that \
+         fail count as wrong in every share and state no probability.\n\n"
     );
     table(&mut page, &HEADER, &rows(&scores.lines));
     if !scores.baselines.is_empty() {
@@ -67,7 +68,7 @@ pub(crate) fn markdown(scores: &Scores) -> String {
     page += "\n## True effect, and what was answered\n\n";
     table(&mut page, &["truth", "answered"], &confusion(scores));
     if !scores.failures.is_empty() {
-        page += "\n## Diagnoses that failed\n\n";
+        page += "\n## What failed\n\n";
         let failures: Vec<Vec<String>> =
             scores.failures.iter().map(|(case, error)| vec![case.clone(), error.clone()]).collect();
         table(&mut page, &["case", "error"], &failures);

@@ -109,7 +109,7 @@ pub(crate) struct Scores {
     pub(crate) by_detectability: Vec<Group>,
     /// True effect, what was answered, and how often.
     pub(crate) confusion: BTreeMap<String, BTreeMap<String, usize>>,
-    /// Cases whose diagnosis failed, and why.
+    /// Diagnoses, experiments and other methods that failed, and why.
     pub(crate) failures: Vec<(String, String)>,
 }
 
@@ -147,10 +147,19 @@ impl Scores {
             let truth = case.truth.answer.effects.first().map(|e| e.name.clone()).unwrap_or_default();
             *confusion.entry(truth).or_default().entry(case.said()).or_insert(0) += 1;
         }
-        let failures =
-            answers.cases.keys().zip(&cases).filter_map(|(name, case)| {
-                case.result.error.as_ref().map(|error| (name.clone(), error.clone()))
-            });
+        let mut failures = Vec::new();
+        for (name, case) in answers.cases.keys().zip(&cases) {
+            let mut add = |what: String, error: &Option<String>| {
+                failures.extend(error.as_ref().map(|error| (what, error.clone())));
+            };
+            add(name.clone(), &case.result.error);
+            if let Some(separation) = &case.result.separation {
+                add(format!("{name}, proposed experiment"), &separation.error);
+            }
+            for (baseline, result) in &case.result.baselines {
+                add(format!("{name}, {baseline}"), &result.error);
+            }
+        }
         Scores {
             seal,
             seed: answers.seed,
@@ -164,7 +173,7 @@ impl Scores {
             }),
             by_detectability: bins(&singles),
             confusion,
-            failures: failures.collect(),
+            failures,
         }
     }
 }
@@ -214,6 +223,10 @@ fn lines(cases: &[Case]) -> Vec<Line> {
     let sizes: Vec<f64> = singles.iter().map(|c| c.class().len() as f64).collect();
     let truth: Vec<f64> = singles.iter().map(Case::probability_of_truth).collect();
     let brier: Vec<f64> = singles.iter().map(Case::brier).collect();
+    let separations: Vec<(bool, bool)> = cases.iter().filter_map(Case::separation).collect();
+    let separated: Vec<bool> =
+        separations.iter().filter(|(held, _)| *held).map(|(_, right)| *right).collect();
+    let separated_all: Vec<bool> = separations.iter().map(|(_, right)| *right).collect();
     let matched: Vec<(usize, usize, usize)> = pairs.iter().map(Case::matched).collect();
 
     let line = |name, goal, unit, score| Line { name, goal, score, unit };
@@ -261,6 +274,12 @@ fn lines(cases: &[Case]) -> Vec<Line> {
             bootstrap(&closed, |drawn| quantile(drawn, 0.1)),
         ),
         line("held-out gap closed, median, all singles", None, Plain, median_of(&closed_all)),
+        line(
+            "held-out gap closed, 10th percentile, all singles",
+            None,
+            Plain,
+            bootstrap(&closed_all, |drawn| quantile(drawn, 0.1)),
+        ),
         line(NOMINAL_CLOSED, None, Plain, median_of(&total)),
         line(
             "another form: cause, class, top 1",
@@ -295,6 +314,19 @@ fn lines(cases: &[Case]) -> Vec<Line> {
             Percent,
             rate(&of_set(cases, Set::Short), |c| c.right_within(1)),
         ),
+        line(
+            "proposed experiment separates a confusable pair",
+            Some(AtLeast(0.85)),
+            Percent,
+            share(&separated),
+        ),
+        line(
+            "proposed experiment ends at the truth, classes without it included",
+            None,
+            Percent,
+            share(&separated_all),
+        ),
+        line("diagnoses that failed", Some(AtMost(0.0)), Percent, rate(cases, Case::failed)),
         line("time, median", Some(AtMost(10.0)), Seconds, median_of(&times)),
         line("time, 90 %", None, Seconds, bootstrap(&times, |drawn| quantile(drawn, 0.9))),
         line(
@@ -388,10 +420,12 @@ fn baselines_of(cases: &[Case]) -> BTreeMap<String, Vec<Line>> {
         let closed: Vec<f64> = singles
             .iter()
             .filter(|(case, _)| case.can_lower() && detectable(case))
-            .filter_map(|(_, result)| result.closed)
+            // One that failed closes nothing.
+            .filter_map(|(_, result)| result.closed.or(result.error.as_ref().map(|_| 0.0)))
             .collect();
-        let seconds: Vec<f64> = singles.iter().chain(&nulls).map(|(_, result)| result.seconds).collect();
-        let failed = rate_of(&singles, |result| result.error.is_some());
+        let both: Vec<(Case, &BaselineResult)> = singles.iter().chain(&nulls).copied().collect();
+        let seconds: Vec<f64> = both.iter().map(|(_, result)| result.seconds).collect();
+        let failed = rate_of(&both, |result| result.error.is_some());
         let line = |name, unit, score| Line { name, goal: None, score, unit };
         let mut lines = if baseline.names {
             vec![

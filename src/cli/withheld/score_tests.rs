@@ -1,10 +1,11 @@
 //! Made-up results whose scores are known by hand.
 
-use parallax_withheld_truth::{Answer, Truth};
+use parallax_withheld_truth::{Answer, Plan, Truth};
 
 use super::*;
 use crate::cli::withheld::case::{Finding, NamedAnswer, NamedEffect};
 use crate::cli::withheld::seal::Sealed;
+use crate::cli::withheld::separate::Separation;
 
 /// What was found: each answer as its labels and its probability.
 fn found(detected: bool, answers: &[(&[&str], f64)], no_gap: f64, unexplained: f64) -> CaseResult {
@@ -53,7 +54,7 @@ fn truth(set: Set, effects: &[&str], class: &[&str], detectability: f64) -> Seal
         detectability,
         class: class.iter().map(|label| (*label).into()).collect(),
     };
-    Sealed { answer, left_out: false }
+    Sealed { answer, left_out: false, plan: Plan { set, system: 0, effect: 0 }, seed: 0 }
 }
 
 fn scored(cases: Vec<(Sealed, CaseResult)>) -> Scores {
@@ -144,6 +145,9 @@ fn parameters_gap_and_time_by_hand() {
     check(&scores, "held-out gap closed, 10th percentile, detectable", 0.18, 3);
     check(&scores, "time, median", 2.0, 6);
     check(&scores, "time, longest", 4.0, 6);
+    // All four singles count, the one that failed as nothing closed.
+    check(&scores, "held-out gap closed, median, all singles", 0.9, 4);
+    check(&scores, "diagnoses that failed", 1.0 / 6.0, 6);
 }
 
 #[test]
@@ -197,6 +201,59 @@ fn other_sets_by_hand() {
     check(&scores, "effect left out: none of these, or alike", 2.0 / 3.0, 3);
     check(&scores, "cause, class, top 1, singles", 1.0, 1);
     assert_eq!(scores.sets["single left out"], 3);
+}
+
+#[test]
+fn experiments_by_hand() {
+    let after = |before: &[&str], after: &[&str], error: Option<&str>| {
+        let all = |labels: &[&str]| labels.iter().map(|label| (*label).to_owned()).collect::<Vec<_>>();
+        let separation = Separation {
+            before: all(before),
+            after: all(after),
+            leader: all(&after[..after.len().min(1)]),
+            error: error.map(str::to_owned),
+            ..Separation::default()
+        };
+        CaseResult { separation: Some(separation), ..found(true, &[(&[LATE], 0.9)], 0.0, 0.0) }
+    };
+    let single = || truth(Set::Single, &[LATE], &[LATE, LAG], 50.0);
+    let mut left_out = single();
+    left_out.left_out = true;
+    let scores = scored(vec![
+        (single(), after(&[LAG, LATE], &[LATE], None)),
+        (single(), after(&[LAG, LATE], &[LAG], None)),
+        (single(), after(&[LAG, LATE, COULOMB], &[LATE, LAG], None)),
+        (single(), after(&[LAG, LATE, COULOMB], &[LAG, LATE], None)),
+        (single(), after(&[LAG, LATE], &[LATE, LAG], None)),
+        (single(), after(&[LAG, LATE], &[], Some("it ran away"))),
+        (single(), after(&[LAG, COULOMB], &[LATE], None)),
+        (left_out, after(&[LAG, COULOMB], &[LAG], None)),
+    ]);
+    check(&scores, "proposed experiment separates a confusable pair", 2.0 / 6.0, 6);
+    check(&scores, "proposed experiment ends at the truth, classes without it included", 3.0 / 7.0, 7);
+    check(&scores, "diagnoses that failed", 0.0, 8);
+    assert_eq!(scores.failures, [("0005, proposed experiment".to_owned(), "it ran away".to_owned())]);
+}
+
+#[test]
+fn another_method_that_fails_closes_nothing() {
+    let name = "nominal refit only";
+    let with = |result: BaselineResult| CaseResult {
+        baselines: BTreeMap::from([(name.to_owned(), result)]),
+        ..found(true, &[(&[LATE], 0.9)], 0.0, 0.0)
+    };
+    let failed = BaselineResult { error: Some("it panicked".into()), ..BaselineResult::default() };
+    let single = || truth(Set::Single, &[LATE], &[LATE], 50.0);
+    let scores = scored(vec![
+        (single(), with(BaselineResult { closed: Some(0.6), ..BaselineResult::default() })),
+        (single(), with(failed.clone())),
+        (truth(Set::Null, &[], &[], 0.0), with(failed)),
+    ]);
+    let of = |line: &str| scores.baselines[name].iter().find(|l| l.name == line).unwrap().score;
+    let closed = of(NOMINAL_CLOSED);
+    assert_eq!((closed.value, closed.count), (Some(0.3), 2));
+    assert_eq!((of("failed").value, of("failed").count), (Some(2.0 / 3.0), 3));
+    assert_eq!(scores.failures.len(), 2);
 }
 
 #[test]

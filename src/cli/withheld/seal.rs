@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use parallax_withheld_truth::Answer;
+use parallax_withheld_truth::{Answer, Plan};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -32,6 +32,10 @@ pub(crate) struct Sealed {
     pub(crate) answer: Answer,
     /// Whether the diagnosis was told to leave the true effect out of its library.
     pub(crate) left_out: bool,
+    /// What the case was made from, so that an experiment can be played on the same machine.
+    pub(crate) plan: Plan,
+    /// The case's own seed.
+    pub(crate) seed: u64,
 }
 
 /// Why answers cannot be sealed or opened.

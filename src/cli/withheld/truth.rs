@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, anyhow};
 use clap::Args;
 use parallax_withheld_truth::{Answer, Plan, Set, TruthError, plans, write};
 use rand::seq::SliceRandom;
@@ -118,6 +118,7 @@ fn draw_seed(development: Option<u64>) -> u64 {
 pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     let seed = draw_seed(arguments.dev_seed);
     let cases = arguments.out.join(CASES);
+    refuse_orphans(&cases)?;
     std::fs::create_dir_all(&cases)
         .with_context(|| format!("the folder {} cannot be made", cases.display()))
         .map_err(Failure::input)?;
@@ -126,15 +127,28 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     let made: Result<BTreeMap<String, Sealed>, Failure> = drafts
         .par_iter()
         .map(|draft| {
-            let answer = draft.make(&cases.join(&draft.name))?;
+            let (answer, seed) = draft.make(&cases.join(&draft.name))?;
             bar.inc(1);
-            Ok((draft.name.clone(), Sealed { answer, left_out: draft.left_out }))
+            let plan = draft.plan.clone();
+            Ok((draft.name.clone(), Sealed { answer, left_out: draft.left_out, plan, seed }))
         })
         .collect();
     bar.finish_and_clear();
     let answers = Answers { seed, development: arguments.dev_seed.is_some(), cases: made? };
     output::line(seal(&arguments.out, &answers).runtime()?);
     Ok(Outcome::Done)
+}
+
+/// Cases that no seal covers are left over from a process that died: they would be diagnosed without an answer.
+pub(crate) fn refuse_orphans(cases: &Path) -> Result<(), Failure> {
+    let some = std::fs::read_dir(cases).is_ok_and(|mut entries| entries.next().is_some());
+    if some {
+        return Err(Failure::input(anyhow!(
+            "{} holds cases whose answers were never sealed; remove that folder, or name another --out",
+            cases.display()
+        )));
+    }
+    Ok(())
 }
 
 /// A case before it is made.
@@ -169,7 +183,8 @@ fn drafts(counts: &Counts, seed: u64) -> Vec<Draft> {
 }
 
 impl Draft {
-    fn make(&self, folder: &Path) -> Result<Answer, Failure> {
+    /// Makes the case; gives its answer and the seed that it was made from.
+    fn make(&self, folder: &Path) -> Result<(Answer, u64), Failure> {
         std::fs::create_dir_all(folder)
             .with_context(|| format!("the folder {} cannot be made", folder.display()))
             .map_err(Failure::runtime)?;
@@ -192,7 +207,7 @@ impl Draft {
         }
         let text = serde_json::to_string(&CaseOptions { exclude }).map_err(Failure::runtime)?;
         std::fs::write(folder.join(OPTIONS), text).map_err(Failure::runtime)?;
-        Ok(answer)
+        Ok((answer, seed))
     }
 }
 
@@ -200,6 +215,15 @@ impl Draft {
 mod tests {
     use super::*;
     use std::collections::BTreeSet;
+
+    #[test]
+    fn cases_without_a_seal_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let cases = folder.path().join(CASES);
+        assert!(refuse_orphans(&cases).is_ok());
+        std::fs::create_dir_all(cases.join("one")).unwrap();
+        assert!(refuse_orphans(&cases).is_err());
+    }
 
     #[test]
     fn development_and_reported_seeds_never_meet() {

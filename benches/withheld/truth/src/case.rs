@@ -1,8 +1,8 @@
 //! One case: a machine with real parameters, a cause or none, and what was recorded of it.
 
 use crate::channel::{Channel, scatter, show};
-use crate::drive::{command, excitation};
-use crate::effect::{Cause, uniform};
+use crate::drive::{command, excitation, played};
+use crate::effect::{Cause, Kind, uniform};
 use crate::mechanics::{H, Machine};
 use crate::system::{N, State, System};
 use rand::SeedableRng;
@@ -15,6 +15,8 @@ pub(crate) struct Case {
     pub(crate) duration: f64,
     pub(crate) poor: bool,
     pub(crate) seed: u64,
+    /// Which recording of the machine: each has noise and chances of its own.
+    pub(crate) take: u64,
 }
 
 /// A run: commands and readings as recorded, and the truth behind them.
@@ -61,11 +63,21 @@ pub(crate) fn reading(system: &System, output: usize, s: &State) -> f64 {
 }
 
 impl Case {
+    fn chances(&self, purpose: u64) -> ChaCha8Rng {
+        stream(self.seed, purpose + 1000 * self.take)
+    }
+
+    /// The case under its own excitation.
     pub(crate) fn run(&self) -> Run {
+        self.recorded(None)
+    }
+
+    /// The case under these wishes, one at every tick, or under its own excitation.
+    pub(crate) fn recorded(&self, wishes: Option<&[[f64; N]]>) -> Run {
         let system = self.system;
         let parameters = real(system, self.seed);
         let machine = Machine::new(system, &parameters, &self.causes);
-        let wishes: Vec<Vec<f64>> = (0..system.inputs.len())
+        let own: Vec<Vec<f64>> = (0..system.inputs.len())
             .map(|i| excitation(system, i, self.duration, self.poor, &mut stream(self.seed, 10 + i as u64)))
             .collect();
         let mut channels = self.channels();
@@ -82,8 +94,13 @@ impl Case {
             let t = i as f64 * H;
             if i % every == 0 {
                 let k = i / every;
-                let wish = std::array::from_fn(|j| wishes.get(j).map_or(0.0, |w| w[k]));
-                let u = command(system, &wish, &s);
+                let u = match wishes {
+                    Some(wishes) => played(system, &wishes[k], &s),
+                    None => {
+                        let wish = std::array::from_fn(|j| own.get(j).map_or(0.0, |w| w[k]));
+                        command(system, &wish, &s)
+                    }
+                };
                 for (channel, u) in channels.iter_mut().zip(u) {
                     channel.send(t, u);
                 }
@@ -100,19 +117,20 @@ impl Case {
         let readings = (0..system.outputs.len())
             .map(|o| {
                 let mut shown = self.shown(o, &states, &self.causes);
-                let mut rngs = [stream(self.seed, 30 + o as u64), stream(self.seed, 40 + o as u64)];
+                let mut rngs = [self.chances(30 + o as u64), self.chances(40 + o as u64)];
                 scatter(&self.causes, o, &mut shown, noise[o], &mut rngs);
                 shown
             })
             .collect();
-        let declared = uniform(&mut stream(self.seed, 3), 0.0, 1.0) < 0.5;
+        // Without a stated noise, more of it is no gap.
+        let declared = uniform(&mut stream(self.seed, 3), 0.0, 1.0) < 0.5
+            || self.causes.iter().any(|c| c.kind == Kind::Noise);
         Run { parameters, noise, declared, commands, readings, states }
     }
 
     fn channels(&self) -> Vec<Channel> {
-        let one = |i: usize| {
-            Channel::new(&self.causes, i, self.system.inputs[i].rest, stream(self.seed, 20 + i as u64))
-        };
+        let one =
+            |i: usize| Channel::new(&self.causes, i, self.system.inputs[i].rest, self.chances(20 + i as u64));
         (0..self.system.inputs.len()).map(one).collect()
     }
 
@@ -120,12 +138,12 @@ impl Case {
     pub(crate) fn shown(&self, output: usize, states: &[State], causes: &[Cause]) -> Vec<(f64, f64)> {
         let truth: Vec<f64> = states.iter().map(|s| reading(self.system, output, s)).collect();
         let every = (1.0 / self.system.sample_rate / H).round() as usize;
-        show(causes, output, &truth, every, &mut stream(self.seed, 50 + output as u64))
+        show(causes, output, &truth, every, &mut self.chances(50 + output as u64))
     }
 
     /// What acts on the machine in every step when these commands are played open loop.
     pub(crate) fn acting(&self, commands: &[[f64; N]], steps: usize, causes: &[Cause]) -> Vec<[f64; N]> {
-        let other = Self { system: self.system, causes: causes.to_vec(), ..*self };
+        let other = Self { causes: causes.to_vec(), ..*self };
         let mut channels = other.channels();
         let every = (1.0 / self.system.command_rate / H).round() as usize;
         (0..steps)

@@ -74,3 +74,13 @@ pub(crate) fn command(system: &System, wish: &[f64; N], s: &State) -> [f64; N] {
         ],
     }
 }
+
+/// The commands at one tick of an experiment that somebody else designed, as it was designed: open loop. Only a machine
+/// that would fly away keeps its loop, and what was designed is added to it.
+pub(crate) fn played(system: &System, wish: &[f64; N], s: &State) -> [f64; N] {
+    if system.control == Control::Hover {
+        let added = std::array::from_fn(|i| wish[i] - system.inputs[i].rest);
+        return command(system, &added, s);
+    }
+    *wish
+}

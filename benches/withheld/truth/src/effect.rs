@@ -14,7 +14,9 @@ pub(crate) enum Kind {
     DelayIn, JitterIn, DropsIn, SkewIn, Gain, Lag, Offset, Saturation, Deadband, RateLimit, Backlash, SupplySag,
     // At a joint.
     Viscous, Coulomb, Stribeck, LoadFriction, Asymmetric, Drag, Cogging, Inertia, Payload, Tilt, Spring, Flexibility,
-    ConstantForce, EndStop, Wind, Periodic,
+    ConstantForce, EndStop, EndStopLow, Wind, Periodic,
+    // At a parameter that the diagnosis may not calibrate.
+    Parameter,
     // At an output.
     DelayOut, JitterOut, DropsOut, SkewOut, Bias, Scale, Noise, Quantization, SensorLag, Drift, Outliers,
     SensorSaturation, Stuck,
@@ -31,6 +33,7 @@ pub(crate) enum Place {
     Input(usize),
     Joint(usize),
     Output(usize),
+    Parameter(usize),
 }
 
 /// A cause at a place with its parameters, in the order of `names`.
@@ -83,6 +86,7 @@ const JOINT: &[Kind] = {
         Flexibility,
         ConstantForce,
         EndStop,
+        EndStopLow,
         Wind,
         Periodic,
     ]
@@ -120,6 +124,8 @@ impl Kind {
             Flexibility => ("flexibility", "two masses", &["stiffness", "damping", "ratio"]),
             ConstantForce => ("constant_force", "constant", &["force"]),
             EndStop => ("end_stop", "linear", &["limit", "stiffness"]),
+            EndStopLow => ("end_stop", "linear", &["lower_limit", "stiffness"]),
+            Parameter => ("parameter", "constant", &["value"]),
             Wind => ("wind", "constant force", &["force"]),
             Periodic => ("periodic_disturbance", "sine", &["amplitude", "frequency", "phase"]),
             Bias => ("bias", "constant", &["bias"]),
@@ -149,6 +155,30 @@ impl Kind {
         }
     }
 
+    /// Whether the opposite of the cause is one of the same kind. Friction that pushes is none.
+    pub(crate) fn two_sided(self) -> bool {
+        use Kind::*;
+        matches!(
+            self,
+            SkewOut
+                | Gain
+                | Offset
+                | Viscous
+                | Cogging
+                | Inertia
+                | Payload
+                | Tilt
+                | Spring
+                | ConstantForce
+                | Wind
+                | Periodic
+                | Bias
+                | Scale
+                | Drift
+                | Parameter
+        )
+    }
+
     /// Causes that change how readings or stamps scatter, not what they are on average.
     pub(crate) fn statistical(self) -> bool {
         use Kind::*;
@@ -156,15 +186,18 @@ impl Kind {
     }
 }
 
-fn places(system: &System, kinds: &[(&[Kind], u8)]) -> Vec<(Kind, Place)> {
+fn places(system: &System, kinds: &[(&[Kind], usize)]) -> Vec<(Kind, Place)> {
     let mut all = Vec::new();
     for &(kinds, at) in kinds {
-        let count = [system.inputs.len(), system.joints.len(), system.outputs.len()][usize::from(at)];
+        let count =
+            [system.inputs.len(), system.joints.len(), system.outputs.len(), system.parameters.len()][at];
         for i in 0..count {
             for &kind in kinds {
-                let place = [Place::Input(i), Place::Joint(i), Place::Output(i)][usize::from(at)];
+                let place = [Place::Input(i), Place::Joint(i), Place::Output(i), Place::Parameter(i)][at];
                 let known = match place {
                     Place::Joint(i) => fits(system, kind, i),
+                    // One that is calibrated may take any value.
+                    Place::Parameter(i) => system.parameters[i].bounds.is_none(),
                     _ => true,
                 };
                 let label = label(system, kind, place);
@@ -191,7 +224,7 @@ fn fits(system: &System, kind: Kind, joint: usize) -> bool {
 
 /// Every effect of the table at every place, except those in the span of a calibrated parameter.
 pub(crate) fn table(system: &System) -> Vec<(Kind, Place)> {
-    places(system, &[(INPUT, 0), (JOINT, 1), (OUTPUT, 2)])
+    places(system, &[(INPUT, 0), (JOINT, 1), (OUTPUT, 2), (&[Kind::Parameter], 3)])
 }
 
 /// Other forms of the table's effects.
@@ -219,6 +252,7 @@ pub(crate) fn place_name(system: &System, place: Place) -> String {
         Place::Input(i) => format!("input:{}", system.inputs[i].key),
         Place::Joint(i) => format!("joint:{}", system.joints[i].name),
         Place::Output(i) => format!("output:{}", system.outputs[i].name),
+        Place::Parameter(i) => format!("parameter:{}", system.parameters[i].name),
     }
 }
 
@@ -250,6 +284,7 @@ pub(crate) fn draw(system: &System, kind: Kind, place: Place, duration: f64, noi
         Place::Input(i) => (command_size(system, i), system.inputs[i].rest),
         Place::Joint(i) => (system.joints[i].force, 0.0),
         Place::Output(i) => (reading_size(system, i), 0.0),
+        Place::Parameter(i) => (system.parameters[i].value, 0.0),
     };
     let (speed, range, inertia) = match place {
         Place::Joint(i) => (system.joints[i].speed, system.joints[i].range, system.joints[i].inertia),
@@ -259,7 +294,9 @@ pub(crate) fn draw(system: &System, kind: Kind, place: Place, duration: f64, noi
         DelayIn | DelayOut => [(log(a, 0.005, 0.08) * 1e4).round() / 1e4, 0.0, 0.0, 0.0],
         JitterIn | JitterOut => [log(a, 0.003, 0.02), 0.0, 0.0, 0.0],
         DropsIn | DropsOut => [log(a, 0.02, 0.2), 0.0, 0.0, 0.0],
-        SkewIn | SkewOut => [sign * log(a, 0.0005, 0.006), 0.0, 0.0, 0.0],
+        // A command cannot act before it was sent.
+        SkewIn => [log(a, 0.0005, 0.006), 0.0, 0.0, 0.0],
+        SkewOut => [sign * log(a, 0.0005, 0.006), 0.0, 0.0, 0.0],
         Gain => [if sign < 0.0 { lin(a, 0.6, 0.85) } else { lin(a, 1.15, 1.5) }, 0.0, 0.0, 0.0],
         Lag => [log(a, 0.01, 0.12), 0.0, 0.0, 0.0],
         LagSecond | SensorLagSecond => [log(a, 0.01, 0.06), lin(b, 0.3, 1.0), 0.0, 0.0],
@@ -298,6 +335,8 @@ pub(crate) fn draw(system: &System, kind: Kind, place: Place, duration: f64, noi
         }
         ConstantForce | Wind => [sign * size * lin(a, 0.06, 0.4), 0.0, 0.0, 0.0],
         EndStop => [range * lin(a, 0.3, 0.9), size / range * log(b, 30.0, 300.0), 0.0, 0.0],
+        EndStopLow => [-range * lin(a, 0.3, 0.9), size / range * log(b, 30.0, 300.0), 0.0, 0.0],
+        Parameter => [size * (1.0 + sign * lin(a, 0.15, 0.4)), 0.0, 0.0, 0.0],
         QuadraticStop => [range * lin(a, 0.3, 0.8), size / (range * range) * log(b, 100.0, 1000.0), 0.0, 0.0],
         Periodic | SquarePeriodic => [size * lin(a, 0.06, 0.4), lin(b, 0.5, 6.0), lin(c, -PI, PI), 0.0],
         Bias => [sign * size * lin(a, 0.02, 0.12), 0.0, 0.0, 0.0],

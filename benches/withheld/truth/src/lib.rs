@@ -3,6 +3,9 @@
 //! Everything here is written apart from the project's models: equations of motion derived by hand, an integrator of
 //! 0.1 ms steps with true stick-slip, commands that arrive through a queue, sensors with a latency of their own. What
 //! crosses over to the diagnosis is one folder: `recording.toml`, tables, and the nominal `system.toml`.
+//!
+//! A cause that never acts in its recording, such as a stop that is not reached or a limit beyond the commands, is no
+//! cause: its magnitude is drawn again, each of a pair's on its own, until it leaves a trace.
 
 // Equations of motion are read by index, as they are written.
 #![allow(clippy::needless_range_loop)]
@@ -12,17 +15,19 @@ mod channel;
 mod drive;
 mod effect;
 mod folder;
+mod least_squares;
 mod mechanics;
 mod signature;
 mod system;
 #[cfg(test)]
 mod tests;
 
-use case::{Case, stream};
-use effect::{Kind, Place};
+use case::{Case, Run, stream};
+use effect::{Cause, Kind, Place};
 use rand::RngExt;
 use rand::seq::SliceRandom;
 use serde::{Deserialize, Serialize};
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -62,7 +67,7 @@ pub struct Plan {
 pub struct EffectAt {
     /// The effect's name.
     pub name: String,
-    /// Where it acts: `input:`, `joint:` or `output:` and a key of `system.toml`.
+    /// Where it acts: `input:`, `joint:`, `output:` or `parameter:` and a key of `system.toml`.
     pub place: String,
 }
 
@@ -77,7 +82,8 @@ pub struct Answer {
     pub effects: Vec<Truth>,
     /// The cause that no table has.
     pub outside: Option<String>,
-    /// Twice the log-likelihood ratio that the cause is worth after the best refit of the calibrated parameters.
+    /// Twice the log-likelihood ratio that the cause is worth after the best refit, not only to first order, of the
+    /// calibrated parameters within their bounds.
     pub detectability: f64,
     /// `name@place` of the cause and of what this recording cannot tell from it (cosine of signatures at least 0.97).
     pub class: Vec<String>,
@@ -118,6 +124,9 @@ pub enum TruthError {
     /// The machine left all bounds: the case is of no use.
     #[error("the motion diverged")]
     Diverged,
+    /// An experiment that cannot be played.
+    #[error("the experiment cannot be played: {0}")]
+    Experiment(&'static str),
 }
 
 /// Names of the machines.
@@ -172,28 +181,57 @@ pub fn plans(set: Set, count: usize, seed: u64) -> Vec<Plan> {
         .collect()
 }
 
+/// Detectability from which a cause acts in its recording.
+const ACTS: f64 = 0.1;
+
+/// A machine that is so many times its range off ran away.
+const ASTRAY: f64 = 200.0;
+
+/// How often a cause that does not act is drawn again; after that it is written as it is.
+const REDRAWS: u64 = 20;
+
 fn case(plan: &Plan, seed: u64) -> Result<Case, TruthError> {
     let unknown = || TruthError::Unknown { system: plan.system, effect: plan.effect };
     let system = *system::ALL.get(plan.system).ok_or_else(unknown)?;
     let duration = if plan.set == Set::Short { 6.0 } else { 20.0 };
     let noise = case::noises(system, seed);
+    let poor = plan.set == Set::PoorExcitation;
+    let alone = |causes: Vec<Cause>| Case { system, causes, duration, poor, seed, take: 0 };
     let mut rng = stream(seed, 4);
-    let mut drawn = |(kind, place): (Kind, Place)| {
+    let mut drawn = |(kind, place): (Kind, Place), member: u64| {
         let noise = if let Place::Output(o) = place { noise[o] } else { 0.0 };
-        effect::draw(system, kind, place, duration, noise, &mut rng)
+        let first = effect::draw(system, kind, place, duration, noise, &mut rng);
+        let again = (0..REDRAWS).map(|k| {
+            let mut rng = stream(seed, 400 + 100 * member + k);
+            effect::draw(system, kind, place, duration, noise, &mut rng)
+        });
+        std::iter::once(first).chain(again).find(|cause| acts(&alone(vec![*cause]))).unwrap_or(first)
     };
     let all = causes(plan.set, system);
     let mut causes = Vec::new();
     if plan.set != Set::Null {
         let first = *all.get(plan.effect).ok_or_else(unknown)?;
-        causes.push(drawn(first));
+        causes.push(drawn(first, 0));
         if plan.set == Set::Pair {
             let others: Vec<_> = all.iter().filter(|c| c.1 != first.1).collect();
             let second = others[stream(seed, 5).random_range(0..others.len())];
-            causes.push(drawn(*second));
+            causes.push(drawn(*second, 1));
         }
     }
-    Ok(Case { system, causes, duration, poor: plan.set == Set::PoorExcitation, seed })
+    Ok(alone(causes))
+}
+
+/// Whether a case's cause leaves a trace in its recording. A machine that ran away is judged by the caller.
+fn acts(case: &Case) -> bool {
+    let run = case.run();
+    !sound(case, &run) || signature::detectability(case, &run) >= ACTS
+}
+
+fn sound(case: &Case, run: &Run) -> bool {
+    let fine = |x: &f64| x.is_finite() && x.abs() < 1e6;
+    let near =
+        |s: &system::State| case.system.joints.iter().zip(s.q).all(|(j, q)| q.abs() < ASTRAY * j.range);
+    run.states.iter().all(|s| near(s) && s.q.iter().chain(&s.v).chain(&s.x).all(fine))
 }
 
 /// Writes the case's folder and returns what is true of it.
@@ -203,9 +241,7 @@ fn case(plan: &Plan, seed: u64) -> Result<Case, TruthError> {
 pub fn write(plan: &Plan, seed: u64, folder: &Path) -> Result<Answer, TruthError> {
     let case = case(plan, seed)?;
     let run = case.run();
-    let sound =
-        |s: &system::State| s.q.iter().chain(&s.v).chain(&s.x).all(|x| x.is_finite() && x.abs() < 1e6);
-    if !run.states.iter().all(sound) {
+    if !sound(&case, &run) {
         return Err(TruthError::Diverged);
     }
     folder::write(&case, &run, folder)?;
@@ -219,4 +255,59 @@ pub fn write(plan: &Plan, seed: u64, folder: &Path) -> Result<Answer, TruthError
     let outside = (plan.set == Set::Outside).then(|| class.first().cloned()).flatten();
     let effects = if outside.is_some() { Vec::new() } else { case.causes.iter().map(truth).collect() };
     Ok(Answer { set: plan.set, system: case.system.name.to_owned(), effects, outside, detectability, class })
+}
+
+/// Commands of an experiment: each value holds from its time on.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Experiment {
+    /// Times from the start (s), increasing.
+    pub times: Vec<f64>,
+    /// How long it lasts (s).
+    pub duration: f64,
+    /// Values by the commands' signals, one at each time. A command that is not here stays at rest.
+    pub commands: BTreeMap<String, Vec<f64>>,
+}
+
+/// Plays an experiment on the machine of the case that [`write()`] made from the same plan and seed, and writes a second
+/// recording of it: the same real parameters, the same cause, fresh noise. The commands are played as they are, except
+/// on the quadrotor, whose loop goes on and has them added.
+///
+/// # Errors
+/// [`TruthError`]: a plan that does not exist, commands that do not fit the machine, a motion that diverged, or a file
+/// that cannot be written.
+pub fn replay(plan: &Plan, seed: u64, experiment: &Experiment, folder: &Path) -> Result<(), TruthError> {
+    let mut case = case(plan, seed)?;
+    let system = case.system;
+    let wrong = |what| Err(TruthError::Experiment(what));
+    let Experiment { times, duration, commands } = experiment;
+    if !(1.0..=600.0).contains(duration)
+        || times.windows(2).any(|w| w[0].partial_cmp(&w[1]) != Some(Ordering::Less))
+    {
+        return wrong("it must last 1 s to 600 s, and its times must increase");
+    }
+    if commands.keys().any(|signal| system.inputs.iter().all(|i| i.signal != signal)) {
+        return wrong("the machine has no such command");
+    }
+    if commands.values().any(|v| v.len() != times.len() || v.iter().any(|x| !x.is_finite())) {
+        return wrong("every command needs a number at each time");
+    }
+    (case.duration, case.take) = (*duration, 1);
+    let ticks = (duration * system.command_rate).ceil() as usize;
+    let wishes: Vec<[f64; system::N]> = (0..ticks)
+        .map(|k| {
+            let t = k as f64 / system.command_rate;
+            // Times are written with rounding: a tick belongs to the value that begins with it.
+            let held = times.partition_point(|time| *time <= t + 1e-6);
+            std::array::from_fn(|i| {
+                let Some(input) = system.inputs.get(i) else { return 0.0 };
+                let values = commands.get(input.signal).filter(|_| held > 0);
+                values.map_or(input.rest, |values| values[held - 1])
+            })
+        })
+        .collect();
+    let run = case.recorded(Some(&wishes));
+    if !sound(&case, &run) {
+        return Err(TruthError::Diverged);
+    }
+    folder::write(&case, &run, folder)
 }

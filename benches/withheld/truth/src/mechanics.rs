@@ -21,6 +21,11 @@ impl<'a> Machine<'a> {
     pub(crate) fn new(system: &'a System, parameters: &[f64], causes: &[Cause]) -> Self {
         let mut parameters = parameters.to_vec();
         for cause in causes {
+            if let Place::Parameter(k) = cause.place {
+                parameters[k] = cause.p[0];
+            }
+        }
+        for cause in causes {
             if let (Kind::Payload, Place::Joint(j)) = (cause.kind, cause.place)
                 && let Payload::Parameter(k) = system.joints[j].payload
             {
@@ -134,6 +139,7 @@ impl<'a> Machine<'a> {
             Kind::CubicSpring => force[j] -= a * (q - b).powi(3),
             Kind::ConstantForce | Kind::Wind => force[j] += a,
             Kind::EndStop => force[j] -= b * (q - a).max(0.0),
+            Kind::EndStopLow => force[j] -= b * (q - a).min(0.0),
             Kind::QuadraticStop => force[j] -= b * (q - a).max(0.0).powi(2),
             Kind::Wall if t > g && t < d => force[j] -= b * (q - a).max(0.0),
             Kind::Gust => force[j] += a * (-((t - b) / g.max(1e-12)).powi(2)).exp(),

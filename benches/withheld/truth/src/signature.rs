@@ -1,10 +1,14 @@
 //! How visible a cause is in a case, and what cannot be told from it, by the generator's own simulations.
 //!
-//! A signature is the change of the sensors' values, in units of their noise, that a cause makes over short segments
-//! with a free initial state, after the span of the calibrated parameters has been projected out.
+//! The healthy machine is fitted to what the faulty one shows without noise: its calibrated parameters within their
+//! bounds, and the initial state of every short segment. What is left, in units of the sensors' noise, is the cause's
+//! signature; its square is the detectability. The fit is nonlinear: what a large cause and other parameters have in
+//! common beyond the first order is no part of the signature. Others are alike when their change of the sensors' values,
+//! less what the fit would follow to first order, points the same way.
 
-use crate::case::{Case, Run, noises, reading, stream};
+use crate::case::{Case, Run, reading, stream};
 use crate::effect::{Cause, Kind, Place, draw, label, table};
+use crate::least_squares::{dot, orthonormal, remove, solve};
 use crate::mechanics::{H, Machine};
 use crate::system::{N, State};
 
@@ -12,207 +16,385 @@ use crate::system::{N, State};
 const SEGMENT: usize = 4000;
 /// Cosine above which two causes count as one class.
 const ALIKE: f64 = 0.97;
+/// Steps of the fit, at most.
+const STEPS: usize = 5;
+/// Sum of squares below which nothing is left to fit.
+const NOTHING: f64 = 0.01;
 
+/// Sensor values in noise units, by segment.
+type Values = Vec<Vec<f64>>;
+
+/// The healthy machine, fitted.
 struct View<'a> {
     case: &'a Case,
     run: &'a Run,
+    /// What acts on the healthy machine.
     plain: Vec<[f64; N]>,
-    nominal: Vec<Vec<f64>>,
-    local: Vec<Vec<Vec<f64>>>,
-    global: Vec<Vec<f64>>,
+    parameters: Vec<f64>,
+    starts: Vec<State>,
+    nominal: Values,
+    rest: Values,
+    cost: f64,
+}
+
+/// What small changes do to the sensor values.
+struct Slopes {
+    /// By variable of the initial state, then by segment; in units of a step.
+    local: Vec<Values>,
+    local_steps: Vec<Vec<f64>>,
+    /// By calibrated parameter; its index, the size of a step, and the values.
+    global: Vec<(usize, f64, Values)>,
+}
+
+/// Twice the log-likelihood ratio that the causes are worth.
+pub(crate) fn detectability(case: &Case, run: &Run) -> f64 {
+    let view = View::fit(case, run);
+    view.map_or(0.0, |view| view.cost) + scatter(case, run)
 }
 
 /// Twice the log-likelihood ratio that the causes are worth, and the labels of the class.
 pub(crate) fn judge(case: &Case, run: &Run) -> (f64, Vec<String>) {
-    if case.causes.is_empty() {
-        return (0.0, Vec::new());
-    }
-    let mut view = View::new(case, run);
     let own = |c: &Cause| label(case.system, c.kind, c.place);
     let mut labels: Vec<String> = case.causes.iter().map(own).collect();
-    let statistical: f64 = case.causes.iter().map(|c| view.likelihood(c)).sum();
-    let lasting: Vec<Cause> = case.causes.iter().filter(|c| !c.kind.statistical()).copied().collect();
-    if lasting.is_empty() {
-        return (statistical, labels);
+    let Some(view) = View::fit(case, run) else { return (scatter(case, run), labels) };
+    if let [cause] = case.causes.as_slice()
+        && !cause.kind.statistical()
+        && view.cost > NOTHING
+    {
+        view.alike(&mut labels);
     }
-    let truth = view.signature(&lasting);
-    let power = dot(&truth, &truth);
-    if case.causes.len() == 1 && power > 0.0 {
+    (view.cost + scatter(case, run), labels)
+}
+
+/// Causes that move what sensors show, rather than how readings scatter around it.
+fn moving(case: &Case) -> Vec<Cause> {
+    let moves = |c: &&Cause| !(c.kind.statistical() && matches!(c.place, Place::Output(_)));
+    case.causes.iter().filter(moves).copied().collect()
+}
+
+/// Twice the log-likelihood ratio of causes that change how readings scatter.
+fn scatter(case: &Case, run: &Run) -> f64 {
+    case.causes.iter().map(|c| likelihood(case, run, c)).sum()
+}
+
+fn likelihood(case: &Case, run: &Run, cause: &Cause) -> f64 {
+    let a = cause.p[0];
+    let (Place::Output(o), true) = (cause.place, cause.kind.statistical()) else { return 0.0 };
+    let noise = run.noise[o];
+    let count = run.readings[o].len() as f64;
+    let excess = |variance: f64| count * (variance - variance.ln_1p());
+    match cause.kind {
+        Kind::Noise => excess((a / noise).powi(2)),
+        Kind::Quantization => excess((a / noise).powi(2) / 12.0),
+        // 10 to 50 times the noise: 30 on average, squared.
+        Kind::Outliers => count * a * 1000.0,
+        Kind::DropsOut => {
+            let lost = case.duration * case.system.sample_rate - count;
+            2.0 * lost.max(0.0) * 1000f64.ln()
+        }
+        _ => {
+            let plain = case.shown(o, &run.states, &[]);
+            let at = |t: f64| plain.partition_point(|(s, _)| *s < t - 1e-9).min(plain.len() - 1);
+            let excess = |(t, y): &(f64, f64)| ((y - plain[at(*t)].1) / noise).powi(2) - 1.0;
+            run.readings[o].iter().map(excess).sum::<f64>().max(0.0)
+        }
+    }
+}
+
+impl<'a> View<'a> {
+    /// Fits the healthy machine. None where no cause moves a reading.
+    fn fit(case: &'a Case, run: &'a Run) -> Option<Self> {
+        let causes = moving(case);
+        if causes.is_empty() {
+            return None;
+        }
+        let plain = case.acting(&run.commands, run.states.len(), &[]);
+        let starts: Vec<State> =
+            (0..run.states.len() / SEGMENT).map(|segment| run.states[segment * SEGMENT]).collect();
+        let mut view = Self {
+            case,
+            run,
+            plain,
+            parameters: run.parameters.clone(),
+            starts,
+            nominal: Vec::new(),
+            rest: Vec::new(),
+            cost: 0.0,
+        };
+        view.nominal = view.play(&view.parameters, &view.starts, &[], &view.plain);
+        let target = view.sensors(&causes);
+        view.rest = minus(&target, &view.nominal);
+        view.cost = square(&view.rest);
+        for _ in 0..STEPS {
+            let before = view.cost;
+            if before < NOTHING || !view.follow(&target) || view.cost > 0.99 * before {
+                break;
+            }
+        }
+        Some(view)
+    }
+
+    /// One damped Gauss-Newton step. False where none lowers the sum of squares.
+    fn follow(&mut self, target: &Values) -> bool {
+        let slopes = self.slopes();
+        let (by_parameter, by_start) = self.step(&slopes);
+        for part in [1.0, 0.4, 0.1] {
+            let mut parameters = self.parameters.clone();
+            for ((k, size, _), step) in slopes.global.iter().zip(&by_parameter) {
+                parameters[*k] += part * size * step;
+            }
+            let mut starts = self.starts.clone();
+            for (segment, steps) in by_start.iter().enumerate() {
+                for (i, step) in steps.iter().enumerate() {
+                    *self.variable(&mut starts[segment], i) += part * slopes.local_steps[i][segment] * step;
+                }
+            }
+            let nominal = self.play(&parameters, &starts, &[], &self.plain);
+            let rest = minus(target, &nominal);
+            let cost = square(&rest);
+            if cost < self.cost {
+                (self.parameters, self.starts, self.nominal) = (parameters, starts, nominal);
+                (self.rest, self.cost) = (rest, cost);
+                return true;
+            }
+        }
+        false
+    }
+
+    /// The step of parameters and of every segment's initial state, in units of the slopes' steps. Initial states are
+    /// eliminated segment by segment; a parameter that would leave its bounds stops there.
+    fn step(&self, slopes: &Slopes) -> (Vec<f64>, Vec<Vec<f64>>) {
+        let p = slopes.global.len();
+        let mut matrix = vec![vec![0.0; p]; p];
+        let mut right = vec![0.0; p];
+        let mut eliminated = Vec::new();
+        for (segment, rest) in self.rest.iter().enumerate() {
+            let local: Vec<&[f64]> = slopes.local.iter().map(|v| v[segment].as_slice()).collect();
+            let global: Vec<&[f64]> = slopes.global.iter().map(|(_, _, v)| v[segment].as_slice()).collect();
+            let mut own: Vec<Vec<f64>> =
+                local.iter().map(|a| local.iter().map(|b| dot(a, b)).collect()).collect();
+            for (i, row) in own.iter_mut().enumerate() {
+                row[i] = row[i] * (1.0 + 1e-10) + 1e-12;
+            }
+            let to_rest = solve(&own, &local.iter().map(|a| dot(a, rest)).collect::<Vec<_>>());
+            let to_global: Vec<Vec<f64>> = (global.iter())
+                .map(|g| solve(&own, &local.iter().map(|a| dot(a, g)).collect::<Vec<_>>()))
+                .collect();
+            for (k, g) in global.iter().enumerate() {
+                let seen: Vec<f64> = local.iter().map(|a| dot(a, g)).collect();
+                right[k] += dot(g, rest) - dot(&seen, &to_rest);
+                for (j, other) in global.iter().enumerate() {
+                    matrix[k][j] += dot(g, other) - dot(&seen, &to_global[j]);
+                }
+            }
+            eliminated.push((to_rest, to_global));
+        }
+        for (k, row) in matrix.iter_mut().enumerate() {
+            row[k] = row[k] * (1.0 + 1e-9) + 1e-12;
+        }
+        let mut stopped: Vec<Option<f64>> = vec![None; p];
+        let by_parameter = loop {
+            let free: Vec<usize> = (0..p).filter(|k| stopped[*k].is_none()).collect();
+            let sub: Vec<Vec<f64>> =
+                free.iter().map(|k| free.iter().map(|j| matrix[*k][*j]).collect()).collect();
+            let held = |k: usize| -> f64 { (0..p).map(|j| matrix[k][j] * stopped[j].unwrap_or(0.0)).sum() };
+            let side: Vec<f64> = free.iter().map(|k| right[*k] - held(*k)).collect();
+            let found = solve(&sub, &side);
+            let mut all: Vec<f64> = stopped.iter().map(|s| s.unwrap_or(0.0)).collect();
+            free.iter().zip(found).for_each(|(k, x)| all[*k] = x);
+            let mut more = false;
+            for k in free {
+                let (low, high) = self.room(&slopes.global[k]);
+                if all[k] < low || all[k] > high {
+                    stopped[k] = Some(all[k].clamp(low, high));
+                    more = true;
+                }
+            }
+            if !more {
+                break all;
+            }
+        };
+        let by_start = eliminated
+            .into_iter()
+            .map(|(mut x, to_global)| {
+                for (column, step) in to_global.iter().zip(&by_parameter) {
+                    x.iter_mut().zip(column).for_each(|(x, c)| *x -= c * step);
+                }
+                x
+            })
+            .collect();
+        (by_parameter, by_start)
+    }
+
+    /// How far a parameter may still go down and up, in units of its step.
+    fn room(&self, (k, size, _): &(usize, f64, Values)) -> (f64, f64) {
+        let (low, high) =
+            self.case.system.parameters[*k].bounds.unwrap_or((f64::NEG_INFINITY, f64::INFINITY));
+        (((low - self.parameters[*k]) / size).min(0.0), ((high - self.parameters[*k]) / size).max(0.0))
+    }
+
+    fn variable<'s>(&self, s: &'s mut State, i: usize) -> &'s mut f64 {
+        let joints = self.case.system.joints.len();
+        match i {
+            i if i < joints => &mut s.q[i],
+            i if i < 2 * joints => &mut s.v[i - joints],
+            i => &mut s.x[i - 2 * joints],
+        }
+    }
+
+    /// Slopes at the fitted point.
+    fn slopes(&self) -> Slopes {
+        let system = self.case.system;
+        let mut slopes = Slopes { local: Vec::new(), local_steps: Vec::new(), global: Vec::new() };
+        for i in 0..2 * system.joints.len() + system.extras {
+            let mut starts = self.starts.clone();
+            let mut sizes = Vec::new();
+            for s in &mut starts {
+                let x = self.variable(s, i);
+                let size = 1e-4 * x.abs().max(0.1);
+                *x += size;
+                sizes.push(size);
+            }
+            let moved = self.play(&self.parameters, &starts, &[], &self.plain);
+            slopes.local.push(minus(&moved, &self.nominal));
+            slopes.local_steps.push(sizes);
+        }
+        for (k, p) in system.parameters.iter().enumerate() {
+            let Some((_, high)) = p.bounds else { continue };
+            let size = 1e-3 * p.value.abs().max(p.spread * 0.1);
+            let size = if self.parameters[k] + size > high { -size } else { size };
+            let mut parameters = self.parameters.clone();
+            parameters[k] += size;
+            let moved = self.play(&parameters, &self.starts, &[], &self.plain);
+            slopes.global.push((k, size, minus(&moved, &self.nominal)));
+        }
+        slopes
+    }
+
+    /// Adds the labels of all effects of the table that look like the cause.
+    fn alike(&self, labels: &mut Vec<String>) {
+        let case = self.case;
+        let slopes = self.slopes();
+        let span = Span::new(self, &slopes);
+        let truth = span.beyond(&self.rest);
+        let power = dot(&truth, &truth);
         for (i, (kind, place)) in table(case.system).into_iter().enumerate() {
             let name = label(case.system, kind, place);
             if kind.statistical() || labels.contains(&name) {
                 continue;
             }
             let noise = match place {
-                Place::Output(o) => run.noise[o],
+                Place::Output(o) => self.run.noise[o],
                 _ => 0.0,
             };
             let mut rng = stream(0, 100 + i as u64);
-            let other = view.signature(&[draw(case.system, kind, place, case.duration, noise, &mut rng)]);
+            let cause = draw(case.system, kind, place, case.duration, noise, &mut rng);
+            let other = span.beyond(&self.change(&cause));
             let size = (power * dot(&other, &other)).sqrt();
-            if size > 0.0 && dot(&truth, &other).abs() >= ALIKE * size {
+            let along = dot(&truth, &other);
+            let along = if kind.two_sided() { along.abs() } else { along };
+            if size > 0.0 && along >= ALIKE * size {
                 labels.push(name);
             }
         }
     }
-    (power + statistical, labels)
-}
 
-impl<'a> View<'a> {
-    fn new(case: &'a Case, run: &'a Run) -> Self {
-        let plain = case.acting(&run.commands, run.states.len(), &[]);
-        let mut view = Self { case, run, plain, nominal: Vec::new(), local: Vec::new(), global: Vec::new() };
-        let system = case.system;
-        view.nominal = view.play(&run.parameters, &[], &view.plain, |_| {});
-        let joints = system.joints.len();
-        let mut local: Vec<Vec<Vec<f64>>> = vec![Vec::new(); view.nominal.len()];
-        for i in 0..2 * joints + system.extras {
-            let moved = view.play(&run.parameters, &[], &view.plain, |s| {
-                let x = match i {
-                    i if i < joints => &mut s.q[i],
-                    i if i < 2 * joints => &mut s.v[i - joints],
-                    i => &mut s.x[i - 2 * joints],
-                };
-                *x += 1e-4 * x.abs().max(0.1);
-            });
-            for (columns, (moved, nominal)) in local.iter_mut().zip(moved.iter().zip(&view.nominal)) {
-                orthonormal(columns, moved.iter().zip(nominal).map(|(a, b)| a - b).collect());
-            }
+    /// What a cause changes at the fitted point.
+    fn change(&self, cause: &Cause) -> Values {
+        let causes = [*cause];
+        if let Place::Output(_) = cause.place {
+            return minus(&self.sensors(&causes), &self.sensors(&[]));
         }
-        view.local = local;
-        for (k, p) in system.parameters.iter().enumerate().filter(|(_, p)| p.bounds.is_some()) {
-            let mut parameters = run.parameters.clone();
-            parameters[k] += 1e-3 * p.value.abs().max(p.spread * 0.1);
-            let moved = view.play(&parameters, &[], &view.plain, |_| {});
-            let column = view.projected(&moved);
-            orthonormal(&mut view.global, column);
-        }
-        view
+        let acting = matches!(cause.place, Place::Input(_))
+            .then(|| self.case.acting(&self.run.commands, self.run.states.len(), &causes));
+        let u = acting.as_ref().unwrap_or(&self.plain);
+        minus(&self.play(&self.parameters, &self.starts, &causes, u), &self.nominal)
     }
 
-    /// Sensor values in noise units over every segment, each started from the truth.
-    fn play(
-        &self,
-        parameters: &[f64],
-        causes: &[Cause],
-        u: &[[f64; N]],
-        start: impl Fn(&mut State),
-    ) -> Vec<Vec<f64>> {
+    /// What the sensors show along the recorded motion, in noise units.
+    fn sensors(&self, causes: &[Cause]) -> Values {
+        let system = self.case.system;
+        let outputs = system.outputs.len();
+        let per = (SEGMENT as f64 * H * system.sample_rate).round() as usize;
+        let mut values = vec![vec![0.0; per * outputs]; self.starts.len()];
+        for o in 0..outputs {
+            let shown = self.case.shown(o, &self.run.states, causes);
+            for (segment, values) in values.iter_mut().enumerate() {
+                for k in 0..per {
+                    values[k * outputs + o] = shown[segment * per + k].1 / self.run.noise[o];
+                }
+            }
+        }
+        values
+    }
+
+    /// Sensor values in noise units over every segment.
+    fn play(&self, parameters: &[f64], starts: &[State], causes: &[Cause], u: &[[f64; N]]) -> Values {
         let system = self.case.system;
         let machine = Machine::new(system, parameters, causes);
         let every = (1.0 / system.sample_rate / H).round() as usize;
-        (0..self.run.states.len() / SEGMENT)
-            .map(|segment| {
-                let from = segment * SEGMENT;
-                let mut s = self.run.states[from];
-                start(&mut s);
-                let mut hidden = machine.hidden();
-                let mut values = Vec::new();
-                for i in from..from + SEGMENT {
-                    if i % every == 0 {
-                        for (o, noise) in self.run.noise.iter().enumerate() {
-                            values.push(reading(system, o, &s) / noise);
-                        }
+        let one = |(segment, start): (usize, &State)| {
+            let from = segment * SEGMENT;
+            let mut s = *start;
+            let mut hidden = machine.hidden();
+            let mut values = Vec::with_capacity(SEGMENT / every * system.outputs.len());
+            for (i, u) in u.iter().enumerate().skip(from).take(SEGMENT) {
+                if i % every == 0 {
+                    for (o, noise) in self.run.noise.iter().enumerate() {
+                        values.push(reading(system, o, &s) / noise);
                     }
-                    machine.step(&mut s, &mut hidden, &u[i], i as f64 * H);
                 }
-                values
-            })
-            .collect()
+                machine.step(&mut s, &mut hidden, u, i as f64 * H);
+            }
+            values
+        };
+        starts.iter().enumerate().map(one).collect()
+    }
+}
+
+/// What the fit follows to first order.
+struct Span {
+    local: Vec<Vec<Vec<f64>>>,
+    global: Vec<Vec<f64>>,
+}
+
+impl Span {
+    fn new(view: &View, slopes: &Slopes) -> Self {
+        let mut local = vec![Vec::new(); view.starts.len()];
+        for (segment, columns) in local.iter_mut().enumerate() {
+            for values in &slopes.local {
+                orthonormal(columns, values[segment].clone());
+            }
+        }
+        let mut span = Self { local, global: Vec::new() };
+        for column in &slopes.global {
+            // A parameter at its bound does not follow.
+            let (low, high) = view.room(column);
+            if low < 0.0 && high > 0.0 {
+                let column = span.beyond(&column.2);
+                orthonormal(&mut span.global, column);
+            }
+        }
+        span
     }
 
-    fn projected(&self, moved: &[Vec<f64>]) -> Vec<f64> {
+    /// The part outside the span, as one row.
+    fn beyond(&self, values: &Values) -> Vec<f64> {
         let mut all = Vec::new();
-        for ((moved, nominal), columns) in moved.iter().zip(&self.nominal).zip(&self.local) {
-            let mut r: Vec<f64> = moved.iter().zip(nominal).map(|(a, b)| a - b).collect();
+        for (values, columns) in values.iter().zip(&self.local) {
+            let mut r = values.clone();
             columns.iter().for_each(|c| remove(&mut r, c));
             all.extend(r);
         }
+        self.global.iter().for_each(|c| remove(&mut all, c));
         all
     }
-
-    fn signature(&mut self, causes: &[Cause]) -> Vec<f64> {
-        let system = self.case.system;
-        let inputs = causes.iter().any(|c| matches!(c.place, Place::Input(_)));
-        let joints = causes.iter().any(|c| matches!(c.place, Place::Joint(_)));
-        let acting = inputs.then(|| self.case.acting(&self.run.commands, self.run.states.len(), causes));
-        let mut moved = if inputs || joints {
-            self.play(&self.run.parameters, causes, acting.as_ref().unwrap_or(&self.plain), |_| {})
-        } else {
-            self.nominal.clone()
-        };
-        for o in 0..system.outputs.len() {
-            if !causes.iter().any(|c| c.place == Place::Output(o)) {
-                continue;
-            }
-            let plain = self.case.shown(o, &self.run.states, &[]);
-            let shown = self.case.shown(o, &self.run.states, causes);
-            let per = (SEGMENT as f64 * H * system.sample_rate).round() as usize;
-            for (segment, values) in moved.iter_mut().enumerate() {
-                for k in 0..per {
-                    let at = segment * per + k;
-                    values[k * system.outputs.len() + o] += (shown[at].1 - plain[at].1) / self.run.noise[o];
-                }
-            }
-        }
-        let mut r = self.projected(&moved);
-        self.global.iter().for_each(|c| remove(&mut r, c));
-        r
-    }
-
-    /// Twice the log-likelihood ratio of a cause that changes how values scatter.
-    fn likelihood(&mut self, cause: &Cause) -> f64 {
-        let a = cause.p[0];
-        let (Place::Output(o), true) = (cause.place, cause.kind.statistical()) else {
-            return if cause.kind.statistical() {
-                let r = self.signature(&[*cause]);
-                dot(&r, &r)
-            } else {
-                0.0
-            };
-        };
-        let noise = noises(self.case.system, self.case.seed)[o];
-        let count = self.run.readings[o].len() as f64;
-        let excess = |variance: f64| count * (variance - variance.ln_1p());
-        match cause.kind {
-            // Without a stated noise, more of it is no gap.
-            Kind::Noise if !self.run.declared => 0.0,
-            Kind::Noise => excess((a / noise).powi(2)),
-            Kind::Quantization => excess((a / noise).powi(2) / 12.0),
-            // 10 to 50 times the noise: 30 on average, squared.
-            Kind::Outliers => count * a * 1000.0,
-            Kind::DropsOut => {
-                let lost = self.case.duration * self.case.system.sample_rate - count;
-                2.0 * lost.max(0.0) * 1000f64.ln()
-            }
-            _ => {
-                let plain = self.case.shown(o, &self.run.states, &[]);
-                let at = |t: f64| plain.partition_point(|(s, _)| *s < t - 1e-9).min(plain.len() - 1);
-                let excess = |(t, y): &(f64, f64)| ((y - plain[at(*t)].1) / noise).powi(2) - 1.0;
-                self.run.readings[o].iter().map(excess).sum::<f64>().max(0.0)
-            }
-        }
-    }
 }
 
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
+fn minus(a: &Values, b: &Values) -> Values {
+    a.iter().zip(b).map(|(a, b)| a.iter().zip(b).map(|(a, b)| a - b).collect()).collect()
 }
 
-fn remove(r: &mut [f64], unit: &[f64]) {
-    let part = dot(r, unit);
-    r.iter_mut().zip(unit).for_each(|(r, u)| *r -= part * u);
-}
-
-/// Adds a column to an orthonormal basis, unless it lies in its span.
-fn orthonormal(basis: &mut Vec<Vec<f64>>, mut column: Vec<f64>) {
-    let before = dot(&column, &column).sqrt();
-    for _ in 0..2 {
-        basis.iter().for_each(|b| remove(&mut column, b));
-    }
-    let size = dot(&column, &column).sqrt();
-    if size > 1e-6 * before && size > 0.0 {
-        column.iter_mut().for_each(|x| *x /= size);
-        basis.push(column);
-    }
+fn square(values: &Values) -> f64 {
+    values.iter().map(|v| dot(v, v)).sum()
 }

@@ -254,7 +254,8 @@ position = { value = "q", unit = "rad"@position@ }
 [joints]
 shaft = { position = "q", velocity = "v", inertia = "J", drive = "motor", load = "-0.3*9.80665*0.12*sin(q)", lever = "0.12" }
 "#,
-    absorbed: &["viscous@joint:shaft", "inertia@joint:shaft"],
+    // Another resistance is another motor constant, another friction and another stiffness of the loop.
+    absorbed: &["viscous@joint:shaft", "inertia@joint:shaft", "parameter@parameter:R"],
     body: servo,
 };
 
@@ -368,7 +369,21 @@ x = { position = "px", velocity = "vx", inertia = "m", drive = "thrust*ux" }
 y = { position = "py", velocity = "vy", inertia = "m", drive = "thrust*uy" }
 z = { position = "pz", velocity = "vz", inertia = "m", drive = "thrust*uz", load = "-m*9.81" }
 "#,
-    absorbed: &["gain@input:pwm"],
+    absorbed: &[
+        "gain@input:pwm",
+        // Far from zero a deadband is an offset, and near hover an offset is another mass.
+        "offset@input:pwm",
+        "deadband@input:pwm",
+        // Along the thrust the drag of so slow a flight is next to nothing.
+        "parameter@parameter:kz",
+        // Nothing pulls the machine to a place: a shift is another initial state, a slow drift another speed.
+        "bias@output:x",
+        "bias@output:y",
+        "bias@output:z",
+        "drift@output:x",
+        "drift@output:y",
+        "drift@output:z",
+    ],
     body: quadrotor,
 };
 
@@ -404,6 +419,9 @@ axis = { position = "q", velocity = "v", inertia = "M", drive = "u" }
         "constant_force@joint:axis",
         "wind@joint:axis",
         "scale@output:position",
+        // Nothing pulls the axis to a place: a shift is another initial state, a drift another speed under another bias.
+        "bias@output:position",
+        "drift@output:position",
     ],
     body: axis,
 };
