@@ -371,9 +371,15 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
     // How readings scatter is a cause of the gap only where their mean leaves nothing larger. Commands that scatter move
     // the machine: no prediction over a horizon is right, and innovations alone tell.
     let at_input = |r: &ReadingEffect| r.place.starts_with("input:");
+    let clipped = |r: &ReadingEffect| {
+        let effects = if detected && named { &best.hypothesis.effects[..] } else { &[] };
+        effects.iter().any(|at| at.effect == Effect::SensorSaturation && at.place.to_string() == r.place)
+    };
     let causes: Vec<ReadingEffect> = readings
         .iter()
         .filter(|r| r.significant && (at_input(r) || with_effect.mean_square() < MEAN_EXPLAINED.powi(2)))
+        // The corners of a clipped reading look like outliers and bad times.
+        .filter(|r| !clipped(r) && !readings::is_trace(r, &readings))
         .cloned()
         .collect();
     let chance = causes.iter().map(|r| (0.5 * r.evidence).exp()).fold(p_value, f64::min);

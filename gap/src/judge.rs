@@ -66,13 +66,19 @@ impl Judge {
         if self.cost(fit) >= self.cost(base) - WORTH {
             return false;
         }
-        if base.shooting_error - fit.shooting_error < MATERIAL * self.gap && base.shooting_error <= INEXACT {
+        if base.shooting_error <= INEXACT && !self.is_material(fit, base) {
             return false;
         }
         let closes = |(after, before): (&f64, &f64)| *after < (1.0 - CLOSED) * before;
         self.exact
             || (fit.innovation.evidence_cost < base.innovation.evidence_cost
                 && fit.output_errors.iter().zip(&base.output_errors).any(closes))
+    }
+
+    /// Whether what `fit` explains beyond `base` is more than a form that is known to a few percent may be off by.
+    #[must_use]
+    pub fn is_material(&self, fit: &Fit, base: &Fit) -> bool {
+        base.shooting_error - fit.shooting_error >= MATERIAL * self.gap
     }
 
     /// −2 log evidence, up to a constant.

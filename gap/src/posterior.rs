@@ -175,7 +175,7 @@ pub fn weigh(
         let mut class: Vec<usize> = (first..fits.len())
             .filter(|&k| {
                 let near = judge.cost(&fits[k]) - judge.cost(&fits[first]) < DECISIVE;
-                let near = near || gives_way(&fits[first], &fits[k]);
+                let near = near || gives_way(&fits[first], &fits[k], &judge);
                 let effects = |k: usize| fits[k].hypothesis.effects.len();
                 !taken[k]
                     && effects(k) == effects(first)
@@ -234,11 +234,14 @@ fn has_spare(fit: &Fit) -> bool {
         .any(|((f, value), std)| (value - f.null).abs() < SIGNIFICANT * std)
 }
 
-/// Whether an effect has a parameter to spare and contains a simpler one at the same place.
-fn gives_way(fit: &Fit, to: &Fit) -> bool {
+/// Whether an effect contains a simpler one at the same place, and either has a parameter to spare or explains no more of
+/// the gap than the simpler one's form may be off by.
+fn gives_way(fit: &Fit, to: &Fit, judge: &Judge) -> bool {
     match (&fit.hypothesis.effects[..], &to.hypothesis.effects[..]) {
         ([own], [other]) => {
-            own.place == other.place && own.effect.simpler().contains(&other.effect) && has_spare(fit)
+            own.place == other.place
+                && own.effect.simpler().contains(&other.effect)
+                && (has_spare(fit) || !judge.is_material(fit, to))
         }
         _ => false,
     }
@@ -256,7 +259,8 @@ fn lead_with_the_simplest(class: &mut [usize], fits: &[Fit], judge: &Judge) {
     let spare = has_spare(&fits[best]);
     let eligible = |k: usize| {
         let worse = judge.cost(&fits[k]) - judge.cost(&fits[best]);
-        worse < EVEN || (size(k) < size(best) && (worse < EQUAL || spare))
+        let gives_way = spare || gives_way(&fits[best], &fits[k], judge);
+        worse < EVEN || (size(k) < size(best) && (worse < EQUAL || gives_way))
     };
     let named = (0..class.len())
         .filter(|&at| eligible(class[at]))

@@ -47,6 +47,27 @@ pub fn believed(equations: &parallax_model::system::Equations, effects: &[Readin
         .collect()
 }
 
+/// Share of the evidence of single bad readings below which times that scatter are what is left of them.
+const TRACE: f64 = 0.1;
+
+/// Whether an effect is what a stronger one leaves behind: bad readings that were not all taken out look like times that
+/// scatter, and a coarse lattice repeats its values.
+#[must_use]
+pub fn is_trace(effect: &ReadingEffect, all: &[ReadingEffect]) -> bool {
+    let found = |names: &[&str]| {
+        let names: Vec<String> = names.iter().map(|n| (*n).to_owned()).collect();
+        all.iter().filter(move |e| e.significant && names.contains(&e.name))
+    };
+    match effect.name.as_str() {
+        "jitter" | "drops" => {
+            effect.place.starts_with("input:")
+                && found(&["outliers", "stuck"]).any(|e| effect.evidence > TRACE * e.evidence)
+        }
+        "stuck" => found(&["quantization"]).any(|e| e.place == effect.place),
+        _ => false,
+    }
+}
+
 /// Difference of −2 log evidence from which an effect counts as there.
 const DECISIVE: f64 = 10.0;
 
