@@ -8,12 +8,15 @@ mod support;
 use parallax_gap::diagnosis::{Options, diagnose_experiment};
 use parallax_gap::equations::EquationsSimulator;
 use parallax_gap::experiment::{Experiment, Held, Sample};
-use parallax_gap::hypothesis::Slot;
+use parallax_gap::hypothesis::{EffectAt, Slot};
+use parallax_gap::innovation::walk;
+use parallax_gap::library;
 use parallax_gap::quantify::{Block, Row, closed};
+use parallax_gap::setup::Setup;
 use parallax_gap::shooting::{lateness, locate};
 use parallax_gap::signature::orthonormal;
 use parallax_gap::simulator::Simulator;
-use parallax_model::effect::{Effect, PlaceKind};
+use parallax_model::effect::{Effect, Place, PlaceKind};
 use parallax_model::plant::Plant;
 use parallax_model::system::{Equations, System};
 use proptest::prelude::*;
@@ -24,6 +27,68 @@ fn equations() -> Equations {
 
 fn row(squares: f64) -> Row {
     Row { blocks: vec![Block { squares, count: 1 }; 4], readings: Vec::new() }
+}
+
+/// Two sensors of a mass on a spring, read at the same times and pushed now and then.
+fn two_sensors() -> Setup {
+    let text = r#"
+format = 1
+name = "mass"
+[inputs]
+u = { signal = "u" }
+[state]
+q = { derivative = "v", initial = "near" }
+v = { derivative = "u - 4*q - 0.5*v" }
+[outputs]
+near = { value = "q", unit = "m" }
+far = { value = "q", unit = "m" }
+[joints]
+axis = { position = "q", velocity = "v", inertia = "1", drive = "u" }
+"#;
+    let equations = System::parse(text, "mass.toml").unwrap().equations().unwrap();
+    let push = |k: u32| f64::from(u8::from(k.is_multiple_of(3)));
+    let input =
+        Held { times: (0..40).map(|k| 0.3 * f64::from(k)).collect(), values: (0..40).map(push).collect() };
+    let (mut q, mut v, mut samples) = (0.0_f64, 0.0_f64, Vec::new());
+    for k in 0..12_000_u32 {
+        let t = 1e-3 * f64::from(k);
+        if k.is_multiple_of(10) {
+            let jitter = 1e-3 * (7.0 * f64::from(k)).sin();
+            samples.extend([0, 1].map(|output| Sample { stamp: t, output, value: q + jitter }));
+        }
+        v += 1e-3 * (push(k / 300) - 4.0 * q - 0.5 * v);
+        q += 1e-3 * v;
+    }
+    let experiment = Experiment {
+        inputs: vec![input],
+        input_units: vec![String::new()],
+        samples,
+        wraps: vec![None, None],
+        ..Experiment::default()
+    };
+    Setup::new(equations, experiment, None)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+
+    /// Hypotheses are compared reading by reading: a delay under trial must neither lose nor repeat one, nor change
+    /// which stands where.
+    #[test]
+    fn a_late_sensor_keeps_the_readings_in_their_places(delay in 0.0..0.15_f64) {
+        let setup = two_sensors();
+        let place = Place::new(PlaceKind::Output, "far");
+        let late = library::hypothesis(&setup, &[EffectAt { effect: Effect::Delay, place }]);
+        let simulator = library::simulator(&setup, &late, Vec::new());
+        let at = |delay: f64| walk(&simulator, &setup.train, &setup.noise, &setup.noise.initial, &[delay]);
+        let (plain, moved) = (at(0.0), at(delay));
+        let key = |pass: &parallax_gap::filter::Pass| -> Vec<(u64, usize)> {
+            pass.stamp.iter().map(|s| s.to_bits()).zip(pass.output.iter().copied()).collect()
+        };
+        prop_assert_eq!(key(&plain), key(&moved));
+        let once: std::collections::BTreeSet<_> = key(&plain).into_iter().collect();
+        prop_assert_eq!(once.len(), plain.readings());
+    }
 }
 
 proptest! {
