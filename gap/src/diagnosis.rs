@@ -256,6 +256,9 @@ fn chosen(
 /// Error of predictions on held-out time, in noise units, up to which their mean counts as explained.
 const MEAN_EXPLAINED: f64 = 3.0;
 
+/// Share of the squared error on held-out time that a residual must leave for the rest to count as chance.
+const CHANCE: f64 = 0.5;
+
 /// Share of a sensitivity's length that must be left beyond the calibrated parameters for an effect to be its own.
 const ABSORBED: f64 = 0.03;
 
@@ -369,8 +372,9 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
         .collect();
 
     // How readings scatter is a cause of the gap only where their mean leaves nothing larger. Commands that scatter move
-    // the machine: no prediction over a horizon is right, and innovations alone tell.
-    let at_input = |r: &ReadingEffect| r.place.starts_with("input:");
+    // the machine by chance: neither an effect nor a residual predicts it over a horizon, and innovations alone tell.
+    let by_chance = black_box.mean_square() > CHANCE * with_effect.mean_square();
+    let at_input = |r: &ReadingEffect| by_chance && r.place.starts_with("input:");
     let clipped = |r: &ReadingEffect| {
         let effects = if detected && named { &best.hypothesis.effects[..] } else { &[] };
         effects.iter().any(|at| at.effect == Effect::SensorSaturation && at.place.to_string() == r.place)

@@ -41,6 +41,9 @@ const NOTABLE: f64 = 0.2;
 /// How far a declared noise may be exceeded, as the logarithm of its variance.
 const OPEN: f64 = 12.0;
 
+/// Periods of a command by which its times may scatter: beyond that it would be another command.
+const MOST_PERIODS: f64 = 5.0;
+
 /// Share of commands that is lost in the disturbed runs.
 const LOST: f64 = 0.1;
 
@@ -87,7 +90,15 @@ pub fn scatter(setup: &Setup, fit: &Fit) -> Vec<ReadingEffect> {
         };
         if let Some((train, test)) = disturbed(&|held, random| late(held, 0.3 * period, random), 0.3 * period)
         {
-            effects.extend(judge("jitter", "spread", "s", (1e-6, f64::MAX), &train, &test, &place));
+            effects.extend(judge(
+                "jitter",
+                "spread",
+                "s",
+                (1e-6, MOST_PERIODS * period),
+                &train,
+                &test,
+                &place,
+            ));
         }
         // The variance grows with the rate, so that the size is for its root.
         if let Some((train, test)) = disturbed(&lossy, LOST.sqrt()) {
@@ -276,6 +287,8 @@ fn judge(
     let with = test.log(scale(at.value), floor) / count - constant;
     let density = LogDensity { without, with, best: with.max(without) };
     let value = Value { value: at.value, std: at.std, unit: unit.into() };
-    let notable = train.is_white() && scale(at.value) > NOTABLE * natural && with > without;
+    // What wants to be larger than it can be is something else.
+    let inside = at.value < 0.95 * bounds.1;
+    let notable = inside && train.is_white() && scale(at.value) > NOTABLE * natural && with > without;
     Some(found(name, place.into(), (parameter, value), -2.0 * at.log_evidence, notable, density))
 }
