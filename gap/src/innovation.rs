@@ -98,9 +98,7 @@ pub fn walk(
     noise: &Noise,
     theta: &[f64],
 ) -> Pass {
-    let mut run = simulator.run(theta);
-    let starts = stretches(simulator, &*run, segments, model.limits.len());
-    filter(&mut *run, &starts, simulator.states(), simulator.parameters(), &model.scale, noise)
+    walk_along(simulator, &mut *simulator.run(theta), segments, model, noise)
 }
 
 /// The same walk without derivatives by θ, which are most of the work.
@@ -111,9 +109,19 @@ pub fn walk_plain(
     noise: &Noise,
     theta: &[f64],
 ) -> Pass {
-    let mut run = simulator.run_at(theta);
-    let starts = stretches(simulator, &*run, segments, model.limits.len());
-    filter(&mut *run, &starts, simulator.states(), 0, &model.scale, noise)
+    walk_along(simulator, &mut *simulator.run_at(theta), segments, model, noise)
+}
+
+fn walk_along(
+    simulator: &dyn Simulator,
+    run: &mut dyn Run,
+    segments: &[Segment],
+    model: &NoiseModel,
+    noise: &Noise,
+) -> Pass {
+    let starts = stretches(simulator, run, segments, model.limits.len());
+    let parameters = run.parameters();
+    filter(run, &starts, simulator.states(), parameters, &model.scale, noise)
 }
 
 /// Fits a hypothesis from one starting point.

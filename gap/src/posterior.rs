@@ -23,7 +23,7 @@ const PRIOR_UNKNOWN: f64 = 0.1;
 const PRIOR_FURTHER: f64 = 0.3;
 
 /// Share of the gap's square up to which what a residual explains beyond a named cause may be its form.
-const MATERIAL: f64 = 0.1;
+const FORM: f64 = 0.1;
 
 /// Difference of −2 log evidence that says nothing.
 const EVEN: f64 = 1.0;
@@ -149,7 +149,7 @@ pub fn weigh(
     if let (Some(alone), Some(best), Some(log)) = (&alone, fits.first(), logs.first()) {
         // What a residual explains beyond a named cause is evidence against it only if it is material: no effect has
         // exactly the form that the library gives it.
-        let material = MATERIAL * (null.shooting_error - 1.0).max(0.0);
+        let material = FORM * (null.shooting_error - 1.0).max(0.0);
         let beyond = (best.shooting_error - alone.shooting_error).max(0.0);
         if beyond < material && judge.cost(best) < judge.cost(null) {
             log_unknown = log_unknown.min(log + (beyond / material).max(1e-6).ln());

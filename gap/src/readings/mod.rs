@@ -47,7 +47,8 @@ pub fn believed(equations: &parallax_model::system::Equations, effects: &[Readin
         .collect()
 }
 
-/// Share of the evidence of single bad readings below which times that scatter are what is left of them.
+/// Share of the evidence of bad readings, or of times that scatter elsewhere, below which times that scatter are what these
+/// leave behind.
 const TRACE: f64 = 0.1;
 
 /// Whether an effect is what a stronger one leaves behind: bad readings that were not all taken out look like times that

@@ -12,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use super::peak::peak;
-use super::{LogDensity, ReadingEffect, found};
+use super::{LogDensity, ReadingEffect, TRACE, found};
 use crate::experiment::Held;
 use crate::filter::{Noise, Pass};
 use crate::innovation::{Segment, walk_plain};
@@ -46,9 +46,6 @@ const MOST_PERIODS: f64 = 5.0;
 
 /// Share of commands that is lost in the disturbed runs.
 const LOST: f64 = 0.1;
-
-/// Share of the strongest evidence below which scatter elsewhere counts as its trace.
-const TRACE: f64 = 0.1;
 
 /// Whitened innovations, and the standard deviation that one unit of an effect adds to each.
 struct Sensitivity {
