@@ -44,14 +44,14 @@ pub(crate) struct Cause {
     pub(crate) p: [f64; 4],
 }
 
-const INPUT: &[Kind] = {
+pub(crate) const INPUT: &[Kind] = {
     use Kind::*;
     &[
         DelayIn, JitterIn, DropsIn, SkewIn, Gain, Lag, Offset, Saturation, Deadband, RateLimit, Backlash,
         SupplySag,
     ]
 };
-const OUTPUT: &[Kind] = {
+pub(crate) const OUTPUT: &[Kind] = {
     use Kind::*;
     &[
         DelayOut,
@@ -69,7 +69,7 @@ const OUTPUT: &[Kind] = {
         Stuck,
     ]
 };
-const JOINT: &[Kind] = {
+pub(crate) const JOINT: &[Kind] = {
     use Kind::*;
     &[
         Viscous,

@@ -8,9 +8,10 @@
 
 use crate::case::{Case, Run, reading, stream};
 use crate::effect::{Cause, Kind, Place, draw, label, table};
-use crate::least_squares::{dot, orthonormal, remove, solve};
+use crate::least_squares::{inverse, orthonormal, remove};
 use crate::mechanics::{H, Machine};
 use crate::system::{N, State};
+use nalgebra::{DMatrix, DVector};
 
 /// Steps of a segment (0.4 s).
 const SEGMENT: usize = 4000;
@@ -22,7 +23,7 @@ const STEPS: usize = 5;
 const NOTHING: f64 = 0.01;
 
 /// Sensor values in noise units, by segment.
-type Values = Vec<Vec<f64>>;
+type Values = Vec<DVector<f64>>;
 
 /// The healthy machine, fitted.
 struct View<'a> {
@@ -163,45 +164,39 @@ impl<'a> View<'a> {
 
     /// The step of parameters and of every segment's initial state, in units of the slopes' steps. Initial states are
     /// eliminated segment by segment; a parameter that would leave its bounds stops there.
-    fn step(&self, slopes: &Slopes) -> (Vec<f64>, Vec<Vec<f64>>) {
+    fn step(&self, slopes: &Slopes) -> (DVector<f64>, Vec<DVector<f64>>) {
         let p = slopes.global.len();
-        let mut matrix = vec![vec![0.0; p]; p];
-        let mut right = vec![0.0; p];
+        let mut matrix = DMatrix::zeros(p, p);
+        let mut right = DVector::zeros(p);
         let mut eliminated = Vec::new();
         for (segment, rest) in self.rest.iter().enumerate() {
-            let local: Vec<&[f64]> = slopes.local.iter().map(|v| v[segment].as_slice()).collect();
-            let global: Vec<&[f64]> = slopes.global.iter().map(|(_, _, v)| v[segment].as_slice()).collect();
-            let mut own: Vec<Vec<f64>> =
-                local.iter().map(|a| local.iter().map(|b| dot(a, b)).collect()).collect();
-            for (i, row) in own.iter_mut().enumerate() {
-                row[i] = row[i] * (1.0 + 1e-10) + 1e-12;
-            }
-            let to_rest = solve(&own, &local.iter().map(|a| dot(a, rest)).collect::<Vec<_>>());
-            let to_global: Vec<Vec<f64>> = (global.iter())
-                .map(|g| solve(&own, &local.iter().map(|a| dot(a, g)).collect::<Vec<_>>()))
-                .collect();
-            for (k, g) in global.iter().enumerate() {
-                let seen: Vec<f64> = local.iter().map(|a| dot(a, g)).collect();
-                right[k] += dot(g, rest) - dot(&seen, &to_rest);
-                for (j, other) in global.iter().enumerate() {
-                    matrix[k][j] += dot(g, other) - dot(&seen, &to_global[j]);
+            let columns = |all: &mut dyn Iterator<Item = &Values>| -> DMatrix<f64> {
+                let columns: Vec<_> = all.map(|v| v[segment].column(0)).collect();
+                if columns.is_empty() {
+                    DMatrix::zeros(rest.len(), 0)
+                } else {
+                    DMatrix::from_columns(&columns)
                 }
-            }
+            };
+            let local = columns(&mut slopes.local.iter());
+            let global = columns(&mut slopes.global.iter().map(|(_, _, v)| v));
+            let mut own = local.tr_mul(&local);
+            damp(&mut own, 1e-10);
+            let follow = inverse(&own) * local.transpose();
+            let (to_rest, to_global) = (&follow * rest, &follow * &global);
+            right += global.tr_mul(&(rest - &local * &to_rest));
+            matrix += global.tr_mul(&(&global - &local * &to_global));
             eliminated.push((to_rest, to_global));
         }
-        for (k, row) in matrix.iter_mut().enumerate() {
-            row[k] = row[k] * (1.0 + 1e-9) + 1e-12;
-        }
+        damp(&mut matrix, 1e-9);
         let mut stopped: Vec<Option<f64>> = vec![None; p];
         let by_parameter = loop {
             let free: Vec<usize> = (0..p).filter(|k| stopped[*k].is_none()).collect();
-            let sub: Vec<Vec<f64>> =
-                free.iter().map(|k| free.iter().map(|j| matrix[*k][*j]).collect()).collect();
-            let held = |k: usize| -> f64 { (0..p).map(|j| matrix[k][j] * stopped[j].unwrap_or(0.0)).sum() };
-            let side: Vec<f64> = free.iter().map(|k| right[*k] - held(*k)).collect();
-            let found = solve(&sub, &side);
-            let mut all: Vec<f64> = stopped.iter().map(|s| s.unwrap_or(0.0)).collect();
-            free.iter().zip(found).for_each(|(k, x)| all[*k] = x);
+            let mut all = DVector::from_iterator(p, stopped.iter().map(|s| s.unwrap_or(0.0)));
+            let side = &right - &matrix * &all;
+            let sub = matrix.select_rows(&free).select_columns(&free);
+            let found = inverse(&sub) * side.select_rows(&free);
+            free.iter().zip(found.iter()).for_each(|(k, x)| all[*k] = *x);
             let mut more = false;
             for k in free {
                 let (low, high) = self.room(&slopes.global[k]);
@@ -214,15 +209,8 @@ impl<'a> View<'a> {
                 break all;
             }
         };
-        let by_start = eliminated
-            .into_iter()
-            .map(|(mut x, to_global)| {
-                for (column, step) in to_global.iter().zip(&by_parameter) {
-                    x.iter_mut().zip(column).for_each(|(x, c)| *x -= c * step);
-                }
-                x
-            })
-            .collect();
+        let by_start =
+            eliminated.into_iter().map(|(to_rest, to_global)| to_rest - to_global * &by_parameter).collect();
         (by_parameter, by_start)
     }
 
@@ -277,7 +265,7 @@ impl<'a> View<'a> {
         let slopes = self.slopes();
         let span = Span::new(self, &slopes);
         let truth = span.beyond(&self.rest);
-        let power = dot(&truth, &truth);
+        let power = truth.norm_squared();
         for (i, (kind, place)) in table(case.system).into_iter().enumerate() {
             let name = label(case.system, kind, place);
             if kind.statistical() || labels.contains(&name) {
@@ -290,8 +278,8 @@ impl<'a> View<'a> {
             let mut rng = stream(0, 100 + i as u64);
             let cause = draw(case.system, kind, place, case.duration, noise, &mut rng);
             let other = span.beyond(&self.change(&cause));
-            let size = (power * dot(&other, &other)).sqrt();
-            let along = dot(&truth, &other);
+            let size = (power * other.norm_squared()).sqrt();
+            let along = truth.dot(&other);
             let along = if kind.two_sided() { along.abs() } else { along };
             if size > 0.0 && along >= ALIKE * size {
                 labels.push(name);
@@ -316,7 +304,7 @@ impl<'a> View<'a> {
         let system = self.case.system;
         let outputs = system.outputs.len();
         let per = (SEGMENT as f64 * H * system.sample_rate).round() as usize;
-        let mut values = vec![vec![0.0; per * outputs]; self.starts.len()];
+        let mut values = vec![DVector::zeros(per * outputs); self.starts.len()];
         for o in 0..outputs {
             let shown = self.case.shown(o, &self.run.states, causes);
             for (segment, values) in values.iter_mut().enumerate() {
@@ -346,7 +334,7 @@ impl<'a> View<'a> {
                 }
                 machine.step(&mut s, &mut hidden, u, i as f64 * H);
             }
-            values
+            DVector::from_vec(values)
         };
         starts.iter().enumerate().map(one).collect()
     }
@@ -354,8 +342,8 @@ impl<'a> View<'a> {
 
 /// What the fit follows to first order.
 struct Span {
-    local: Vec<Vec<Vec<f64>>>,
-    global: Vec<Vec<f64>>,
+    local: Vec<Vec<DVector<f64>>>,
+    global: Vec<DVector<f64>>,
 }
 
 impl Span {
@@ -379,22 +367,30 @@ impl Span {
     }
 
     /// The part outside the span, as one row.
-    fn beyond(&self, values: &Values) -> Vec<f64> {
-        let mut all = Vec::new();
+    fn beyond(&self, values: &Values) -> DVector<f64> {
+        let mut all = Vec::<f64>::new();
         for (values, columns) in values.iter().zip(&self.local) {
             let mut r = values.clone();
             columns.iter().for_each(|c| remove(&mut r, c));
-            all.extend(r);
+            all.extend(r.iter());
         }
+        let mut all = DVector::from_vec(all);
         self.global.iter().for_each(|c| remove(&mut all, c));
         all
     }
 }
 
+/// Adds a little to the diagonal, so that what the sensors hardly see moves little.
+fn damp(matrix: &mut DMatrix<f64>, share: f64) {
+    for k in 0..matrix.nrows() {
+        matrix[(k, k)] = matrix[(k, k)] * (1.0 + share) + 1e-12;
+    }
+}
+
 fn minus(a: &Values, b: &Values) -> Values {
-    a.iter().zip(b).map(|(a, b)| a.iter().zip(b).map(|(a, b)| a - b).collect()).collect()
+    a.iter().zip(b).map(|(a, b)| a - b).collect()
 }
 
 fn square(values: &Values) -> f64 {
-    values.iter().map(|v| dot(v, v)).sum()
+    values.iter().map(DVector::norm_squared).sum()
 }
