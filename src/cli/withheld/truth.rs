@@ -31,7 +31,7 @@ pub(crate) struct Counts {
     /// Cases without an effect.
     #[arg(long, value_name = "N", default_value_t = 200)]
     nulls: usize,
-    /// Cases of one effect in a form that the library lacks.
+    /// Cases of one effect in another functional form.
     #[arg(long, value_name = "N", default_value_t = 60)]
     other_form: usize,
     /// Cases of two effects.
