@@ -9,13 +9,15 @@ Times are seconds since the run's start, in SI units throughout, unless a name e
 
 from ._native import ParallaxError, __version__
 from .cache import use_compilation_cache
-from .compiled import CompiledGraph, GraphState, NativeRollout, Observation
+from .compiled import CompiledGraph
 from .delays import TrainableDelay
 from .graph import Episodes, Graph
 from .model import Model, models
+from .native_rollout import NativeRollout
 from .nodes import Message, ModelNode, Node, Port, Step, Window
 from .program import Program
 from .recording import NodeTrack, PortTrack, Recording, Trajectory, load, trajectories
+from .state import GraphState, Observation
 from .system import System
 from .tables import Tables
 from .xla import run_small_loops_whole

@@ -21,14 +21,18 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .delays import OutputDelay, TrainableDelay, select_by_output, select_messages
+from .delays import select_by_output, select_messages
+from .leaves import alike, arrays, chosen, repeated, size_in_bytes, stored
+from .native_rollout import NativeRollout, by_leaf, spread
 from .nodes import Message, Node, Step, Window
 from .noise import normals, words
+from .slots import Input, Slot, read_slot
+from .state import GraphState, Observation
 from .tables import Column, Row, TableBuilder, Tables
 from .trees import flat, nested
 from .types import Array, Floats, Integers, Scalar, Tree
 
-__all__ = ["CompiledGraph", "GraphState", "NativeRollout", "Observation"]
+__all__ = ["CompiledGraph"]
 
 SELECT = 8
 """Histories of at most this many messages are read and written by selection, larger ones by index."""
@@ -36,70 +40,6 @@ SELECT = 8
 
 STREAMS = 1_000_000
 """Keys of streams are folded with numbers from here on, apart from those of `init`."""
-
-
-@partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["key", "episode", "step", "params", "state", "history"],
-    meta_fields=[],
-)
-@dataclass(frozen=True)
-class GraphState:
-    """What a compiled graph carries from step to step, for one environment."""
-
-    key: Array
-    """The key from which every step's random numbers follow."""
-    episode: Array
-    """Which episode's schedule it runs along, int32."""
-    step: Array
-    """How many steps the supervisor has made, int32."""
-    params: dict[str, Tree]
-    """Every node's parameters; under `delays`, the place of each trainable delay between its bounds, 0 to 1."""
-    state: dict[str, Tree]
-    """Every node's state."""
-    history: dict[str, Any]
-    """Every node's last outputs: a tuple of them, or, for long histories, one tree with a leading axis."""
-
-
-@partial(jax.tree_util.register_dataclass, data_fields=["seq", "due", "start", "inputs"], meta_fields=[])
-@dataclass(frozen=True)
-class Observation:
-    """What the supervisor's step sees. Times are seconds since the run's start."""
-
-    seq: Array
-    """The step's number, from 0."""
-    due: Array
-    """When it was due, s."""
-    start: Array
-    """When it starts, s."""
-    inputs: dict[str, Tree]
-    """For each port `seq`, `sent` and `received`, each `[window]`, and `message` with leaves `[window, ...]`, oldest
-    first."""
-
-
-@dataclass(frozen=True)
-class _Input:
-    """The columns of one port of one slot; one entry per candidate."""
-
-    port: str
-    sender: int
-    window: int
-    connection: int
-    stamps: dict[str, list[Column]]
-    read: list[Column]
-    trainable: TrainableDelay | None
-    from_output: OutputDelay | None
-
-
-@dataclass(frozen=True)
-class _Slot:
-    """The columns of one slot."""
-
-    node: int
-    run: Column
-    times: dict[str, Column]
-    write: Column
-    inputs: list[_Input]
 
 
 @dataclass(frozen=True)
@@ -121,16 +61,6 @@ class _Moment:
     history: dict[str, Any]
     key: Array
     noise: Mapping[str, Array]
-
-
-@dataclass(frozen=True)
-class NativeRollout:
-    """What a rollout without JAX gives, as trees of numpy arrays."""
-
-    outputs: dict[str, Tree]
-    """The outputs of the nodes kept, leaves `[environment, step]`; not a number where a step did not run."""
-    states: dict[str, Tree]
-    """Every node's state after the last step, leaves `[environment]`."""
 
 
 class CompiledGraph:
@@ -161,7 +91,7 @@ class CompiledGraph:
         ]
         self._connections = list(connections)
         self._builder = TableBuilder(self.episodes, self.steps)
-        self._slots = [self._columns(slot, ports[slot["node"]]) for slot in compiled["slots"]]
+        self._slots = [read_slot(slot, ports[slot["node"]], self._builder) for slot in compiled["slots"]]
         self._tables: dict[Any, Tables] = {}
         self.supervisor: str = self._nodes[self._slots[-1].node].name
         """The supervisor's name."""
@@ -191,7 +121,7 @@ class CompiledGraph:
     def state_bytes(self) -> int:
         """How many bytes one environment's `GraphState` takes."""
         state = jax.eval_shape(self.init, jax.eval_shape(lambda: jax.random.key(0)))
-        return sum(_bytes(leaf) for leaf in jax.tree.leaves(state))
+        return sum(size_in_bytes(leaf) for leaf in jax.tree.leaves(state))
 
     def init(
         self, key: Array, params: Mapping[str, Tree] | None = None, episode: Scalar = 0, step: Scalar = 0
@@ -212,12 +142,12 @@ class CompiledGraph:
             keys = jax.random.split(jax.random.fold_in(key, index), 3)
             own = given[info.name] if info.name in given else info.node.init_params(keys[0])
             all_params[info.name] = own
-            state[info.name] = _arrays(info.node.init_state(keys[1], own))
-            output = _arrays(info.node.init_output(keys[2], own, state[info.name]))
+            state[info.name] = arrays(info.node.init_state(keys[1], own))
+            output = arrays(info.node.init_output(keys[2], own, state[info.name]))
             if info.history <= SELECT:
                 history[info.name] = (output,) * info.history
             else:
-                history[info.name] = jax.tree.map(partial(_repeated, count=info.history), output)
+                history[info.name] = jax.tree.map(partial(repeated, count=info.history), output)
         if self.delays:
             start = {name: jnp.asarray(0.5, float) for name in self.delays}
             chosen = given.get("delays", {})
@@ -304,9 +234,9 @@ class CompiledGraph:
         content = self._native.rollout(
             episodes=[int(episode) for episode in episodes],
             seeds=list(range(count)) if seeds is None else list(seeds),
-            params=_leaves(given, count),
-            states=_leaves(states or {}, count),
-            delays=[(name, _spread(alpha, count)) for name, alpha in delays.items()],
+            params=by_leaf(given, count),
+            states=by_leaf(states or {}, count),
+            delays=[(name, spread(alpha, count)) for name, alpha in delays.items()],
             given=[(name, self._stacked(name, outputs)) for name, outputs in (pinned or {}).items()],
             keep=list(keep),
             precision=precision,
@@ -396,18 +326,18 @@ class CompiledGraph:
         result = self._run(self._slots[-1], moment, output, wanted)
         return {len(self._slots) - 1: result} if wanted else {}
 
-    def _run(self, slot: _Slot, moment: _Moment, output: Tree | None, record: bool) -> Tree:
+    def _run(self, slot: Slot, moment: _Moment, output: Tree | None, record: bool) -> Tree:
         """One step of one node, where the row says so."""
         info = self._nodes[slot.node]
         before = moment.state[info.name]
         if output is None:
             after, output = info.node.step(moment.params[info.name], before, self._view(slot, moment))
-            if not _alike(after, before):
+            if not alike(after, before):
                 raise TypeError(f"the step of node `{info.name}` returns a state of another structure than its first")
         else:
             after = before
         run = None if slot.run.place < 0 else moment.row[slot.run] != 0
-        after = jax.tree.map(partial(_chosen, run), after, before)
+        after = jax.tree.map(partial(chosen, run), after, before)
         moment.state[info.name] = after
         moment.history[info.name] = self._write(slot, moment, run, output)
         if not record:
@@ -421,26 +351,26 @@ class CompiledGraph:
             "output": jax.tree.map(jnp.asarray, output),
         }
 
-    def _write(self, slot: _Slot, moment: _Moment, run: Array | None, output: Tree) -> Any:
+    def _write(self, slot: Slot, moment: _Moment, run: Array | None, output: Tree) -> Any:
         """The history with an output in its place."""
         info = self._nodes[slot.node]
         history = moment.history[info.name]
         place = moment.row[slot.write]
         example = history[0] if info.history <= SELECT else history
-        if not _alike(output, example):
+        if not alike(output, example):
             raise TypeError(
                 f"the step of node `{info.name}` sends {jax.tree.structure(output)}, its first output is "
                 f"{jax.tree.structure(example)}"
             )
         if info.history > SELECT:
-            return jax.tree.map(partial(_stored, place, run), history, output)
+            return jax.tree.map(partial(stored, place, run), history, output)
         result = list(history)
         for other in slot.write.values:
             here = run
             if slot.write.place >= 0:
                 at = place == other
                 here = at if run is None else run & at
-            result[other] = jax.tree.map(partial(_chosen, here), output, history[other])
+            result[other] = jax.tree.map(partial(chosen, here), output, history[other])
         return tuple(result)
 
     def _read(self, sender: int, column: Column, moment: _Moment) -> Tree:
@@ -452,10 +382,10 @@ class CompiledGraph:
             return jax.tree.map(lambda leaf: lax.dynamic_index_in_dim(leaf, place, keepdims=False), history)
         result = history[column.values[0]]
         for other in column.values[1:]:
-            result = jax.tree.map(partial(_chosen, place == other), history[other], result)
+            result = jax.tree.map(partial(chosen, place == other), history[other], result)
         return result
 
-    def _view(self, slot: _Slot, moment: _Moment) -> Step:
+    def _view(self, slot: Slot, moment: _Moment) -> Step:
         """What the step in a slot sees; nothing is read before somebody looks."""
         info = self._nodes[slot.node]
         row = moment.row
@@ -519,94 +449,6 @@ class CompiledGraph:
         seq, due, start = (jnp.asarray(value, float) for value in (view.seq, view.due, view.start))
         return Observation(seq, due, start, inputs)
 
-    def _columns(self, slot: Mapping[str, Any], ports: Sequence[str]) -> _Slot:
-        """A slot's part of the tables."""
-        add = self._builder
-        run = slot["run"].astype(bool)
-        always = np.ones_like(run)
-        inputs = []
-        for name, rows in zip(ports, slot["inputs"], strict=bool(slot["inputs"])):
-            candidates = range(rows["candidates"])
-            trainable, from_output = rows["trainable"], rows["from_output"]
-            inputs.append(
-                _Input(
-                    name,
-                    rows["from"],
-                    rows["window"],
-                    rows["connection"],
-                    {
-                        "seq": [add.numbers(rows["seq"][..., i], run) for i in candidates],
-                        "sent": [add.seconds(rows["sent"][..., i], run) for i in candidates],
-                        "received": [add.seconds(rows["received"][..., i], run) for i in candidates],
-                    },
-                    [add.integers(rows["read"][..., i], run) for i in candidates],
-                    None if trainable is None else TrainableDelay(*trainable),
-                    None if from_output is None else OutputDelay(*from_output),
-                )
-            )
-        return _Slot(
-            slot["node"],
-            add.integers(np.ones_like(run) if slot["always"] else run, always),
-            {
-                "seq": add.numbers(slot["seq"], run),
-                "due": add.seconds(slot["due"], run),
-                "start": add.seconds(slot["start"], run),
-            },
-            add.integers(slot["write"], run),
-            inputs,
-        )
 
-
-def _alike(one: Tree, other: Tree) -> bool:
-    """Whether two trees have the same structure."""
-    first: object = jax.tree.structure(one)
-    return bool(first == jax.tree.structure(other))
-
-
-def _stamp(row: Row, port: _Input, index: int, name: str) -> Scalar:
+def _stamp(row: Row, port: Input, index: int, name: str) -> Scalar:
     return row[port.stamps[name][index]]
-
-
-def _chosen(run: Array | None, new: Scalar, old: Array) -> Array:
-    """`new` where `run` holds (always, if it is None), as what `old` is."""
-    if jnp.shape(new) != old.shape:
-        raise TypeError(f"a leaf has shape {jnp.shape(new)} after the step and {old.shape} before")
-    new = jnp.asarray(new, old.dtype)
-    return new if run is None else jnp.where(run, new, old)
-
-
-def _stored(place: Scalar, run: Array | None, history: Array, new: Scalar) -> Array:
-    old = lax.dynamic_index_in_dim(history, place, keepdims=False)
-    return lax.dynamic_update_index_in_dim(history, _chosen(run, new, old), place, 0)
-
-
-def _arrays(tree: Tree) -> Tree:
-    return jax.tree.map(_strong, tree)
-
-
-def _strong(leaf: Any) -> Array:
-    leaf = jnp.asarray(leaf)
-    return lax.convert_element_type(leaf, leaf.dtype)
-
-
-def _repeated(leaf: Array, count: int) -> Array:
-    return jnp.broadcast_to(leaf, (count, *leaf.shape))
-
-
-def _bytes(leaf: Any) -> int:
-    if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
-        leaf = jax.eval_shape(jax.random.key_data, leaf)
-    return leaf.size * leaf.dtype.itemsize
-
-
-def _leaves(trees: Mapping[str, Tree], count: int) -> list[tuple[str, str, Floats]]:
-    """Node, leaf and one value for each environment."""
-    result = []
-    for node, tree in trees.items():
-        for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
-            result.append((node, ".".join(str(part.key) for part in path), _spread(leaf, count)))
-    return result
-
-
-def _spread(leaf: Any, count: int) -> Floats:
-    return np.ascontiguousarray(np.broadcast_to(np.asarray(leaf, np.float64), (count,)))
