@@ -9,6 +9,7 @@ use crate::library;
 use crate::search::{Fit, Width, fit_all, fit_hypothesis};
 use crate::setup::Setup;
 use crate::signature::{self, Nuisance};
+use crate::stop::SEVERAL;
 
 /// Single effects from which combinations begin.
 const BASES: usize = 2;
@@ -35,11 +36,17 @@ pub fn combinations(setup: &Setup, null: &Fit, fits: &[Fit], judge: &Judge) -> V
         .take(BASES)
         .filter(|base| judge.is_worth(base, null) && judge.cost(base) < judge.cost(&fits[0]) + RIVAL)
     {
+        if setup.stop.leaves_out(|| SEVERAL.into()) {
+            break;
+        }
         let mut base = base.clone();
         while base.hypothesis.effects.len() < MOST {
             let Some(next) = extend(setup, &base, &pool, judge) else { break };
             if !judge.is_worth(&next, &base) {
                 break;
+            }
+            if setup.stop.leaves_out(|| SEVERAL.into()) {
+                return found;
             }
             base = next;
         }
@@ -96,7 +103,7 @@ fn score(setup: &Setup, base: &Fit, nuisance: &Nuisance, at: &EffectAt) -> f64 {
 
 /// Leaves out each effect without which the evidence loses less than [`WORTH`], the least needed first.
 fn prune(setup: &Setup, null: &Fit, mut fit: Fit, fits: &[Fit], judge: &Judge) -> Fit {
-    while fit.hypothesis.effects.len() > 1 {
+    while fit.hypothesis.effects.len() > 1 && !setup.stop.leaves_out(|| SEVERAL.into()) {
         let effects = fit.hypothesis.effects.clone();
         let doubtful: Vec<usize> =
             (0..effects.len()).filter(|k| distance(&fit, *k).is_none_or(|d| d < CERTAIN)).collect();

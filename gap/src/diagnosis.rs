@@ -6,6 +6,7 @@ use parallax_runtime::recording::log::Log;
 
 use crate::answers;
 use crate::bind::{BindError, bind, bind_all};
+use crate::calibration;
 use crate::detect;
 use crate::equations::MOST_VARIABLES;
 use crate::excitation::{self, Wishes};
@@ -21,13 +22,13 @@ use crate::posterior::{self, Answer};
 use crate::quantify::{self, Row};
 use crate::readings::{self, ReadingEffect};
 use crate::report::{
-    Absorbed, Calibration, Confusable, FittedEffect, Gap, HowFar, NotTestable, Overlay, Report, Split,
-    Unexplained,
+    Absorbed, Confusable, FittedEffect, Gap, HowFar, NotTestable, Overlay, Report, Split, Unexplained,
 };
 use crate::search::{self, Fit};
 use crate::setup::Setup;
 use crate::shapley;
 use crate::signature::{self, Nuisance};
+use crate::stop::Stop;
 use crate::unknown;
 
 /// Why a diagnosis could not be made.
@@ -67,6 +68,9 @@ pub enum DiagnosisError {
         /// Most of both together.
         most: usize,
     },
+    /// Stopped before anything was found.
+    #[error("the diagnosis was interrupted before any effect was weighed; there is nothing to report")]
+    Stopped,
     /// The nominal model cannot be run along the log.
     #[error(
         "{file}: the nominal system gives numbers that are not finite along recording `{title}`; check its equations and initial values against the log's range"
@@ -141,6 +145,9 @@ pub fn diagnose_experiment(
     progress(0.0, "nominal model");
     let readings = readings::examine(&equations, &experiment);
     let (setup, null) = prepare(equations, experiment, title, options)?;
+    if setup.stop.asked() {
+        return Err(DiagnosisError::Stopped);
+    }
     let nuisance = Nuisance::new(&null);
     let (mut candidates, mut not_testable) = library::candidates(&setup);
     candidates.extend(outgrown(&setup, &null));
@@ -152,6 +159,9 @@ pub fn diagnose_experiment(
         let k = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
         progress(0.05 + 0.45 * k as f64 / candidates.len() as f64, label);
     });
+    if fits.is_empty() && setup.stop.asked() {
+        return Err(DiagnosisError::Stopped);
+    }
     progress(0.5, "unknown cause");
     let weighed = std::sync::atomic::AtomicUsize::new(0);
     let answers = posterior::weigh(&setup, &null, &nuisance, fits, options, &|label| {
@@ -186,6 +196,7 @@ pub(crate) fn prepare(
     let (experiment, _) = readings::cleaned(&equations, &experiment);
     let mut setup = Setup::with_noise(equations, experiment, options.horizon, &least);
     quantify::refine_step(&mut setup);
+    setup.stop = Stop::when(options.stop.clone());
     let setup = setup;
     let (from, to) = setup.experiment.span();
     if setup.train.is_empty() || setup.test.is_empty() {
@@ -395,7 +406,7 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
         system: system.name.clone(),
         recordings: vec![title.into()],
         gap: Gap { detected, p_value: chance.max(f64::MIN_POSITIVE), score: rms(&refitted) },
-        calibration: calibration(setup, shown),
+        calibration: calibration::moved(setup, shown),
         where_: answers::places(&answers, &causes),
         maps: if mean_detected { maps::maps(setup, &null, options.seed) } else { Vec::new() },
         timing: None,
@@ -412,6 +423,7 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
         how_far,
         corrected_system: None,
         explanations,
+        interrupted: setup.stop.interrupted(|label| answers.answers.iter().any(|a| a.class.contains(label))),
         made_from: None,
     };
     let mut found = if mean_detected && named { answers::fitted_effects(setup, best) } else { Vec::new() };
@@ -421,7 +433,8 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
         parameters: r.parameters.clone(),
     }));
     let effects = answers::corrected_effects(&found);
-    let mut diagnosis = Diagnosis { report, overlays, calibrated: corrected_values(setup, shown), effects };
+    let mut diagnosis =
+        Diagnosis { report, overlays, calibrated: calibration::values(setup, shown), effects };
     diagnosis.report.summary = crate::report::sentence::summary(&diagnosis.report);
     diagnosis
 }
@@ -429,7 +442,7 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
 /// What each of several effects closes; nothing for one.
 fn split(setup: &Setup, null: &Fit, best: &Fit, refitted: &Row, with_effect: &Row) -> Vec<Split> {
     let effects = &best.hypothesis.effects;
-    if effects.len() < 2 {
+    if effects.len() < 2 || setup.stop.leaves_out(|| "the share of each effect".into()) {
         return Vec::new();
     }
     let gap = (refitted.mean_square() - 1.0).max(1e-12);
@@ -451,50 +464,22 @@ fn split(setup: &Setup, null: &Fit, best: &Fit, refitted: &Row, with_effect: &Ro
     effects.iter().zip(shares).map(|(e, share)| Split { effect: e.label(), share }).collect()
 }
 
-fn calibration(setup: &Setup, fit: &Fit) -> Vec<Calibration> {
-    let (theta, std) = (fit.estimate(), fit.std());
-    let mut out = Vec::new();
-    for (k, f) in fit.hypothesis.fitted.iter().enumerate() {
-        let Slot::Nominal(index) = f.slot else { continue };
-        if setup.equations.system().parameters[index].calibrate.is_none() {
-            continue;
-        }
-        out.push(Calibration {
-            name: f.name.clone(),
-            nominal: f.null,
-            value: theta[k],
-            std: std[k],
-            unit: f.unit.clone(),
-            significant: (theta[k] - f.null).abs() > 2.0 * std[k],
-        });
-    }
-    out
-}
-
 /// Classes of several effects, each with the experiment that would tell its members apart.
 fn confusable(setup: &Setup, null: &Fit, posterior: &posterior::Posterior, seed: u64) -> Vec<Confusable> {
     let classes = posterior.answers.iter().filter(|a: &&Answer| a.class.len() > 1 && a.probability > 0.01);
     classes
         .map(|answer| {
             let candidates: Vec<&Fit> = [&answer.fit].into_iter().chain(&answer.alike).collect();
+            if setup.stop.leaves_out(|| "experiments that separate what looks alike".into()) {
+                let separate_by = "no experiment was looked for".into();
+                return Confusable { effects: answer.class.clone(), separate_by, experiment: None };
+            }
             let wishes = Wishes { seed, ..Wishes::default() };
             let (separate_by, experiment) = match excitation::design(setup, null, &candidates, &wishes) {
                 Ok(design) => (design.to_string(), Some(design.promise())),
                 Err(error) => (format!("no experiment was found: {error}"), None),
             };
             Confusable { effects: answer.class.clone(), separate_by, experiment }
-        })
-        .collect()
-}
-
-fn corrected_values(setup: &Setup, fit: &Fit) -> Vec<(String, f64)> {
-    let theta = fit.estimate();
-    let system = setup.equations.system();
-    let fitted = fit.hypothesis.fitted.iter().zip(theta);
-    fitted
-        .filter_map(|(f, value)| match f.slot {
-            Slot::Nominal(index) => Some((system.parameters[index].name.clone(), *value)),
-            _ => None,
         })
         .collect()
 }

@@ -69,6 +69,7 @@
 
 mod answers;
 pub mod bind;
+mod calibration;
 pub mod combine;
 pub mod commands;
 pub mod detect;
@@ -101,6 +102,7 @@ pub mod signature;
 pub mod simulator;
 pub mod spectrum;
 pub mod statistics;
+pub mod stop;
 pub mod timing;
 pub mod unknown;
 pub mod windows;

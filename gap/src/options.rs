@@ -16,6 +16,8 @@
 
 use std::fmt;
 use std::str::FromStr;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 use parallax_model::effect::{Place, PlaceKind};
 use parallax_model::system::Suggestion;
@@ -37,6 +39,8 @@ pub struct Options {
     pub priors: Vec<Prior>,
     /// Effects whose fate is to be explained.
     pub explain: Vec<Pattern>,
+    /// Once it is set, the search ends at the next fit, and the report is made of what was weighed so far.
+    pub stop: Option<Arc<AtomicBool>>,
 }
 
 impl Default for Options {
@@ -48,6 +52,7 @@ impl Default for Options {
             only: Vec::new(),
             priors: Vec::new(),
             explain: Vec::new(),
+            stop: None,
         }
     }
 }

@@ -9,6 +9,7 @@ use crate::options::Options;
 use crate::search::Fit;
 use crate::setup::Setup;
 use crate::signature::{self, Nuisance, SAME};
+use crate::stop::UNKNOWN;
 use crate::unknown;
 use rayon::prelude::*;
 
@@ -116,16 +117,16 @@ pub fn weigh(
     let each = (1.0 - PRIOR_NO_GAP - PRIOR_UNKNOWN) / fits.iter().map(weight).sum::<f64>().max(1e-300);
 
     // The unknowns stand alone and on top of the leading effect: if the effect adds nothing to them, it is no cause.
-    let alone: Vec<Fit> = unknown::kinds(setup)
-        .into_par_iter()
+    let kinds =
+        || unknown::kinds(setup).into_par_iter().filter(|_| !setup.stop.leaves_out(|| UNKNOWN.into()));
+    let alone: Vec<Fit> = kinds()
         .map(|kind| {
             let fit = unknown::fit_unknown(setup, null, null, unknown::choose(setup, null, null, kind));
             done("unknown cause");
             fit
         })
         .collect();
-    let together: Vec<Fit> = unknown::kinds(setup)
-        .into_par_iter()
+    let together: Vec<Fit> = kinds()
         .filter_map(|kind| fits.first().map(|best| (kind, best)))
         .map(|(kind, best)| {
             let fit = unknown::fit_unknown(setup, null, best, unknown::choose(setup, null, best, kind));

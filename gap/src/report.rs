@@ -20,6 +20,7 @@ use crate::maps::Map;
 use crate::nodes::Nodes;
 use crate::plot::{axis, draw};
 use crate::readings::ReadingEffect;
+use crate::stop::UNKNOWN;
 use crate::timing::Timing;
 
 /// A whole diagnosis.
@@ -67,9 +68,27 @@ pub struct Report {
     /// Why effects that the user asked about are not the answer.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub explanations: Vec<Explanation>,
+    /// What was left out, where the diagnosis was interrupted: probabilities are those among what was weighed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub interrupted: Option<Interrupted>,
     /// The files that were diagnosed, so that another command can go on from there.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub made_from: Option<MadeFrom>,
+}
+
+/// What an interrupted diagnosis left out.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Interrupted {
+    /// Effects that were not weighed, and steps that were not made.
+    pub not_tried: Vec<String>,
+}
+
+impl Report {
+    /// Whether causes without a name were put beside the named ones; an interrupted diagnosis may not have come to it.
+    #[must_use]
+    pub fn tried_the_unknown(&self) -> bool {
+        self.interrupted.as_ref().is_none_or(|i| i.not_tried.iter().all(|what| what != UNKNOWN))
+    }
 }
 
 /// What a diagnosis was made from.

@@ -7,6 +7,7 @@ use crate::hypothesis::{EffectAt, Hypothesis};
 use crate::innovation::{InnovationFit, fit, walk};
 use crate::library;
 use crate::setup::Setup;
+use crate::stop::SEVERAL;
 use crate::windows::{FEW, Shot, fit_windows, representative, windows};
 use parallax_model::plant::Residual;
 
@@ -139,6 +140,9 @@ fn shoot_from(
     let (count, iterations) = if effort == Effort::Full { (FULL_STARTS, ITERATIONS) } else { (1, FEW) };
     let mut best: Option<Shot> = None;
     for start in starts.iter().take(count) {
+        if best.is_some() && setup.stop.asked() {
+            break;
+        }
         let shot = fit_windows(setup, &simulator, hypothesis, &windows, start, iterations);
         if best.as_ref().is_none_or(|b| shot.cost < b.cost) {
             best = Some(shot);
@@ -255,11 +259,18 @@ fn by_cost(costs: &[f64]) -> Vec<usize> {
     order
 }
 
+/// How a report calls a hypothesis that was not tried.
+fn untried(hypothesis: &Hypothesis) -> String {
+    if hypothesis.effects.len() > 1 { SEVERAL.into() } else { hypothesis.label() }
+}
+
 /// Fits hypotheses in parallel, each with as much work as it is worth; `done` is told of each.
 ///
 /// All are screened from all of their starts on a sample of the windows. The most promising, and the best of each effect
 /// and of each place, are fitted by short windows to convergence; the best of these, and the best of each kind of place, by
 /// innovation likelihood as well.
+///
+/// Once the diagnosis shall end, only finalists are brought to an end, in a few steps; the others are left out.
 #[must_use]
 pub fn fit_all(
     setup: &Setup,
@@ -268,8 +279,11 @@ pub fn fit_all(
     width: Width,
     done: &(dyn Fn(&str) + Sync),
 ) -> Vec<Fit> {
-    let screened: Vec<Screened> =
-        hypotheses.into_par_iter().map(|hypothesis| screen(setup, base, hypothesis)).collect();
+    let screened: Vec<Screened> = hypotheses
+        .into_par_iter()
+        .filter(|hypothesis| !setup.stop.leaves_out(|| untried(hypothesis)))
+        .map(|hypothesis| screen(setup, base, hypothesis))
+        .collect();
     let order = by_cost(&screened.iter().map(|s| s.cost).collect::<Vec<_>>());
     let last = |index: usize| screened[index].hypothesis.effects.last();
     let promising = shortlist(&order, width.shortlist, |index| match last(index) {
@@ -279,7 +293,13 @@ pub fn fit_all(
     let effort = |kept: bool| if kept { Effort::Full } else { Effort::Light };
     let shots: Vec<Option<Shot>> = (0..screened.len())
         .into_par_iter()
-        .map(|k| shoot_from(setup, base, &screened[k].hypothesis, &screened[k].starts, effort(promising[k])))
+        .map(|k| {
+            let Screened { hypothesis, starts, .. } = &screened[k];
+            if setup.stop.leaves_out(|| untried(hypothesis)) {
+                return None;
+            }
+            shoot_from(setup, base, hypothesis, starts, effort(promising[k]))
+        })
         .collect();
     let costs: Vec<f64> = shots.iter().map(|s| s.as_ref().map_or(f64::INFINITY, |s| s.cost)).collect();
     let finalists = shortlist(&by_cost(&costs), width.finalists, |index| match last(index) {
@@ -288,16 +308,16 @@ pub fn fit_all(
     });
     let all: Vec<(usize, (Screened, Option<Shot>))> = screened.into_iter().zip(shots).enumerate().collect();
     all.into_par_iter()
-        .map(|(k, (screened, shot))| {
+        .filter_map(|(k, (screened, shot))| {
             let label = screened.hypothesis.label();
-            let fit = match shot {
-                Some(shot) => {
-                    refine(setup, base, screened.hypothesis, shot, &screened.first, effort(finalists[k]))
-                }
-                None => base.clone(),
-            };
+            let shot = shot?;
+            if !finalists[k] && setup.stop.leaves_out(|| untried(&screened.hypothesis)) {
+                return None;
+            }
+            let effort = effort(finalists[k] && !setup.stop.asked());
+            let fit = refine(setup, base, screened.hypothesis, shot, &screened.first, effort);
             done(&label);
-            fit
+            Some(fit)
         })
         .collect()
 }

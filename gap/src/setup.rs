@@ -11,6 +11,7 @@ use crate::noise;
 use crate::simulator::Simulator;
 use crate::spectrum;
 use crate::statistics::{root_mean_square, standard_deviation};
+use crate::stop::Stop;
 
 /// A system bound to a recording, with everything that is the same for every hypothesis.
 #[derive(Clone, Debug)]
@@ -45,6 +46,8 @@ pub struct Setup {
     pub state_range: Vec<Range>,
     /// Frequencies that stand out of the nominal model's innovations (Hz), the strongest first.
     pub frequencies: Vec<f64>,
+    /// Whether to end early.
+    pub stop: Stop,
 }
 
 /// How far a quantity went.
@@ -201,6 +204,7 @@ impl Setup {
             output_range,
             state_range: Vec::new(),
             frequencies: Vec::new(),
+            stop: Stop::default(),
         };
         setup.measure();
         setup

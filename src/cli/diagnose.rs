@@ -1,11 +1,12 @@
 //! `parallax diagnose`: where a recording and its simulator part, why, and how far.
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
 
 use anyhow::{Context, anyhow};
 use clap::Args;
 use parallax_gap::bind::bind_all;
-use parallax_gap::diagnosis::{Diagnosis, Options, diagnose_all};
+use parallax_gap::diagnosis::{Diagnosis, DiagnosisError, Options, diagnose_all};
 use parallax_gap::experiment::Experiment;
 use parallax_gap::nodes;
 use parallax_gap::options::{Pattern, Prior};
@@ -13,6 +14,7 @@ use parallax_gap::report::{MadeFrom, Report, html, svg, text};
 use parallax_gap::timing;
 use parallax_model::system::{Equations, System};
 use parallax_runtime::import::{self, read_system_text};
+use parallax_runtime::launch::signals::Signals;
 use parallax_runtime::recording::Recording;
 use parallax_runtime::recording::log::Log;
 
@@ -58,6 +60,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         return Err(Failure::input(anyhow!("--horizon must be above zero and finite")));
     }
     let loaded = Loaded::read(&arguments.recordings, arguments.system.as_deref())?;
+    let signals = Signals::watch().runtime()?;
     let options = Options {
         horizon: arguments.horizon,
         seed: arguments.seed,
@@ -65,6 +68,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         only: arguments.only.clone(),
         priors: arguments.prior.clone(),
         explain: arguments.explain.clone(),
+        stop: Some(signals.flag()),
     };
     let report = loaded.diagnose(&options, &arguments.out)?;
     if arguments.json {
@@ -73,7 +77,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         print(&report);
         output::line(format!("written to {}", arguments.out.display()));
     }
-    Ok(Outcome::Done)
+    Ok(if report.interrupted.is_some() { Outcome::Interrupted } else { Outcome::Done })
 }
 
 /// Logs of one machine and the system that is believed of it.
@@ -164,10 +168,17 @@ impl Loaded {
             .map_err(Failure::input)?;
         let bar = output::progress("diagnosing", 1000);
         let watch = |done: f64, what: &str| {
+            tracing::info!("{:.0} % done: {what}", 100.0 * done);
             bar.set_position((done * 1000.0) as u64);
+            let stopping = options.stop.as_ref().is_some_and(|stop| stop.load(Ordering::Relaxed));
+            let what = if stopping { "stopping; Ctrl-C again ends at once" } else { what };
             bar.set_message(format!("diagnosing: {what}"));
         };
-        let mut diagnosis = diagnose_all(&self.system, &self.logs, options, &watch).input()?;
+        let found = diagnose_all(&self.system, &self.logs, options, &watch);
+        let mut diagnosis = found.map_err(|error| match error {
+            DiagnosisError::Stopped => Failure::interrupted(error),
+            error => Failure::input(error),
+        })?;
         bar.finish_and_clear();
         self.look_at_the_graph(&mut diagnosis.report);
         diagnosis.report.made_from = Some(MadeFrom {

@@ -42,6 +42,11 @@ impl Failure {
         Self { code: 3, error: error.into() }
     }
 
+    /// Somebody stopped it before there was anything to show.
+    pub(crate) fn interrupted(error: impl Into<anyhow::Error>) -> Self {
+        Self { code: 130, error: error.into() }
+    }
+
     /// Prints the error and its causes, and gives the exit code.
     pub(crate) fn report(&self) -> ExitCode {
         eprintln!("error: {}", describe(&self.error));

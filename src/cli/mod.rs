@@ -28,7 +28,7 @@ Exit codes:
   1    done, and the answer is no: the replay differs from the recording, no experiment separates the effects
   2    the command or its input cannot be used
   3    the run failed, for instance because a node died
-  130  interrupted";
+  130  interrupted; a diagnosis reports what was weighed until then, a run keeps its recording";
 
 /// Runs a robot as a graph of nodes, replays it exactly under a simulated clock, and says where simulation and reality
 /// part, why, and how much of the gap a cause explains.

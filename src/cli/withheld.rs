@@ -21,6 +21,7 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, anyhow};
 use clap::Args;
+use parallax_runtime::launch::signals::Signals;
 
 use super::failure::{Failure, Outcome, Sort};
 use super::output;
@@ -82,13 +83,19 @@ impl std::str::FromStr for Shard {
 }
 
 pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
-    let hash = sealed(arguments)?;
+    let signals = Signals::watch().runtime()?;
+    let hash = sealed(arguments, &signals)?;
     eprintln!("answers sealed, SHA-256 {hash}");
     let folders = folders(&arguments.out.join(CASES))?;
-    diagnose_all(arguments, &folders)?;
+    diagnose_all(arguments, &folders, &signals)?;
 
     let results = results(&arguments.out)?;
     let missing = folders.iter().filter(|folder| !results.contains_key(&name(folder))).count();
+    if signals.raised() && missing > 0 {
+        let (done, all) = (folders.len() - missing, folders.len());
+        output::line(format!("interrupted: {done} of {all} cases are in; go on with --resume"));
+        return Ok(Outcome::Interrupted);
+    }
     if missing > 0 {
         output::line(format!("{missing} of {} cases are not in yet; the answers stay sealed", folders.len()));
         return Ok(Outcome::Done);
@@ -110,7 +117,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
 }
 
 /// Makes the cases in a process of its own, unless they are there already; gives the hash of their answers.
-fn sealed(arguments: &Arguments) -> Result<String, Failure> {
+fn sealed(arguments: &Arguments, signals: &Signals) -> Result<String, Failure> {
     let found = seal::sealed_hash(&arguments.out).input()?;
     match found {
         Some(hash) if arguments.resume => return Ok(hash),
@@ -129,6 +136,13 @@ fn sealed(arguments: &Arguments) -> Result<String, Failure> {
         command.arg("--dev-seed").arg(seed.to_string());
     }
     let status = command.stdout(Stdio::null()).status().runtime()?;
+    if !status.success() && signals.raised() {
+        let cases = arguments.out.join(CASES);
+        return Err(Failure::interrupted(anyhow!(
+            "interrupted while the cases were made; remove {} before the next run",
+            cases.display()
+        )));
+    }
     if !status.success() {
         return Err(Failure::runtime(anyhow!("the process that makes the cases failed: {status}")));
     }
@@ -152,8 +166,9 @@ fn name(folder: &Path) -> String {
     folder.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Diagnoses the shard's cases that are not in yet. Each result is on disk before the next case begins.
-fn diagnose_all(arguments: &Arguments, folders: &[PathBuf]) -> Result<(), Failure> {
+/// Diagnoses the shard's cases that are not in yet. Each result is on disk before the next case begins; a case that a
+/// signal interrupts is left for the next run.
+fn diagnose_all(arguments: &Arguments, folders: &[PathBuf], signals: &Signals) -> Result<(), Failure> {
     let Shard { index, count } = arguments.shard;
     let done = results(&arguments.out)?;
     let mine = folders.iter().enumerate().filter(|(k, _)| k % count == index - 1).map(|(_, folder)| folder);
@@ -172,7 +187,7 @@ fn diagnose_all(arguments: &Arguments, folders: &[PathBuf]) -> Result<(), Failur
     let bar = output::progress("diagnosing", open.len() as u64);
     for folder in open {
         let out = (to_separate > 0).then_some(arguments.out.as_path());
-        let result = diagnose_case(folder, arguments.baselines, out);
+        let Some(result) = diagnose_case(folder, arguments.baselines, out, &signals.flag()) else { break };
         to_separate -= usize::from(result.separation.is_some());
         // A line break first: a line that an interruption cut short stays alone.
         let line = serde_json::to_string(&result).map_err(Failure::runtime)?;

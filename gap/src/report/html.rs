@@ -84,8 +84,15 @@ fn verdict(report: &Report, answers: &[Answer<'_>]) -> String {
         None if !gap.detected => "there is nothing to close".to_owned(),
         None => "of what calibration leaves".to_owned(),
     };
+    let not_tried = report.interrupted.as_ref().map_or_else(String::new, |interrupted| {
+        format!(
+            "<p class=\"interrupted\"><b>This diagnosis was interrupted.</b> Probabilities are among what was tried. Not \
+             tried: {}.</p>\n",
+            escape(&interrupted.not_tried.join(", "))
+        )
+    });
     format!(
-        "<header>\n<p class=\"kicker\">Parallax diagnosis of <b>{}</b></p>\n<h1{long}>{}</h1>\n<dl class=\"verdict\">\n{}{}{}{}\
+        "<header>\n<p class=\"kicker\">Parallax diagnosis of <b>{}</b></p>\n{not_tried}<h1{long}>{}</h1>\n<dl class=\"verdict\">\n{}{}{}{}\
          </dl>\n</header>\n",
         escape(&report.system),
         escape(&report.summary).replace(" %", "\u{a0}%"),
@@ -336,6 +343,9 @@ fn signed(number: &str) -> String {
 }
 
 fn unexplained(report: &Report) -> String {
+    if !report.tried_the_unknown() {
+        return section("Unexplained", "", "<p>Not tried: the diagnosis was interrupted.</p>\n");
+    }
     let unexplained = &report.unexplained;
     let probability = set(&format::probability(unexplained.probability));
     let share = set(&format::share(unexplained.share));

@@ -7,6 +7,14 @@ use super::{FittedEffect, Report, format};
 /// Where the gap lies, what causes it and how far that closes it, in one sentence.
 #[must_use]
 pub fn summary(report: &Report) -> String {
+    let found = found(report);
+    match report.interrupted {
+        Some(_) => format!("Interrupted before everything was tried. So far: {found}"),
+        None => found,
+    }
+}
+
+fn found(report: &Report) -> String {
     let score = format::number(report.gap.score, 3);
     if !report.gap.detected {
         return format!(

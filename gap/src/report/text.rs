@@ -1,10 +1,12 @@
 //! The short answer for a terminal.
 
 use super::answer::{Answer, answers};
-use super::{Calibration, Report, bars, format, recorded};
+use super::{Calibration, Interrupted, Report, bars, format, recorded};
 
 /// Widest line.
 const COLUMNS: usize = 100;
+/// What an interrupted diagnosis left out is named up to so many.
+const NOT_TRIED: usize = 8;
 /// Where the second column begins.
 const INDENT: usize = 15;
 
@@ -13,6 +15,7 @@ const INDENT: usize = 15;
 pub fn summary(report: &Report) -> String {
     let mut lines = Lines(format::wrap(&report.summary, COLUMNS));
     lines.0.push(String::new());
+    interrupted(&mut lines, report);
     gap(&mut lines, report);
     for (i, place) in report.where_.iter().take(3).enumerate() {
         let text = format!(
@@ -37,6 +40,7 @@ pub fn summary(report: &Report) -> String {
         format::probability(unexplained.probability),
         format::share(unexplained.share)
     );
+    let text = if report.tried_the_unknown() { text } else { "not tried".into() };
     lines.put("unexplained", 0, &text);
     for (i, confusable) in report.confusable.iter().take(3).enumerate() {
         let text = format!("{}: {}", confusable.effects.join(" or "), confusable.separate_by);
@@ -65,6 +69,16 @@ impl Lines {
             self.0.push(format!("{label:INDENT$}{:inner$}{line}", ""));
         }
     }
+}
+
+fn interrupted(lines: &mut Lines, report: &Report) {
+    let Some(Interrupted { not_tried }) = &report.interrupted else { return };
+    let more = match not_tried.len().saturating_sub(NOT_TRIED) {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
+    let named = not_tried.iter().take(NOT_TRIED).cloned().collect::<Vec<_>>().join(", ");
+    lines.put("not tried", 0, &format!("{named}{more}; probabilities are among what was tried"));
 }
 
 fn gap(lines: &mut Lines, report: &Report) {

@@ -117,6 +117,7 @@ pub(crate) fn one_effect() -> Report {
         },
         corrected_system: Some("out/servo/system.corrected.toml".to_owned()),
         explanations: Vec::new(),
+        interrupted: None,
         made_from: None,
     }
 }
@@ -184,6 +185,7 @@ pub(crate) fn empty() -> Report {
         confusable: vec![],
         corrected_system: None,
         explanations: Vec::new(),
+        interrupted: None,
         made_from: None,
         ..one_effect()
     }

@@ -33,7 +33,7 @@ mod launcher;
 mod plan;
 mod recorder;
 mod report;
-mod signals;
+pub mod signals;
 mod stepper;
 mod worker;
 mod worker_main;

@@ -9,7 +9,7 @@ use signal_hook::flag;
 
 /// Notices Ctrl-C and requests to terminate while it lives; afterwards they end the process as ever.
 #[derive(Debug)]
-pub(super) struct Signals {
+pub struct Signals {
     raised: Arc<AtomicBool>,
 }
 
@@ -25,7 +25,12 @@ struct Handlers {
 static HANDLERS: Mutex<Option<Handlers>> = Mutex::new(None);
 
 impl Signals {
-    pub(super) fn watch() -> io::Result<Self> {
+    /// Begins to watch. The first signal sets the flag, the second one ends the process at once with code 130.
+    ///
+    /// # Errors
+    ///
+    /// The system's error where no handler can be installed.
+    pub fn watch() -> io::Result<Self> {
         let mut handlers = HANDLERS.lock().unwrap_or_else(PoisonError::into_inner);
         let handlers = match &mut *handlers {
             Some(handlers) => handlers,
@@ -48,8 +53,15 @@ impl Signals {
     }
 
     /// Whether one came.
-    pub(super) fn raised(&self) -> bool {
+    #[must_use]
+    pub fn raised(&self) -> bool {
         self.raised.load(Ordering::Relaxed)
+    }
+
+    /// What is set when one comes, for whoever works meanwhile. It is cleared when the last watcher is dropped.
+    #[must_use]
+    pub fn flag(&self) -> Arc<AtomicBool> {
+        self.raised.clone()
     }
 }
 

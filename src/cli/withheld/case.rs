@@ -4,6 +4,8 @@
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use anyhow::{Context, anyhow};
@@ -79,8 +81,18 @@ pub(crate) struct NamedEffect {
 }
 
 /// Diagnoses the case in `folder`; a failure, a panic included, is a result as well. Given the run's folder, a class of
-/// several effects is put to the experiment that is proposed for it.
-pub(crate) fn diagnose_case(folder: &Path, with_baselines: bool, run: Option<&Path>) -> CaseResult {
+/// several effects is put to the experiment that is proposed for it. None where `stop` was set meanwhile.
+pub(crate) fn diagnose_case(
+    folder: &Path,
+    with_baselines: bool,
+    run: Option<&Path>,
+    stop: &Arc<AtomicBool>,
+) -> Option<CaseResult> {
+    let stopped = || stop.load(Ordering::Relaxed);
+    let read = |folder: &Path| {
+        let (system, log, options) = read(folder)?;
+        anyhow::Ok((system, log, Options { stop: Some(stop.clone()), ..options }))
+    };
     let case = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let start = Instant::now();
     let result = guarded(|| {
@@ -89,6 +101,9 @@ pub(crate) fn diagnose_case(folder: &Path, with_baselines: bool, run: Option<&Pa
     });
     let seconds = start.elapsed().as_secs_f64();
     let mut out = CaseResult { case, seconds, ..CaseResult::default() };
+    if stopped() {
+        return None;
+    }
     match result {
         Ok(report) => {
             out.found = Some(Finding::of(&report));
@@ -106,6 +121,9 @@ pub(crate) fn diagnose_case(folder: &Path, with_baselines: bool, run: Option<&Pa
     }
     if with_baselines && let Ok((system, log, _)) = read(folder) {
         for baseline in baselines::ALL {
+            if stopped() {
+                return None;
+            }
             let start = Instant::now();
             let mut result = guarded(|| (baseline.answer)(&system, &log)).unwrap_or_else(|error| {
                 BaselineResult { error: Some(format!("{error:#}")), ..Default::default() }
@@ -114,7 +132,7 @@ pub(crate) fn diagnose_case(folder: &Path, with_baselines: bool, run: Option<&Pa
             out.baselines.insert(baseline.name.to_owned(), result);
         }
     }
-    out
+    (!stopped()).then_some(out)
 }
 
 /// What the case tells: its system, its recording and its options.
