@@ -2,6 +2,7 @@
 
 mod answer;
 mod bars;
+mod explained;
 mod format;
 pub mod html;
 mod maps;

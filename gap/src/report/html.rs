@@ -4,7 +4,7 @@ use super::answer::{Answer, answers};
 use super::draw::{Pen, escape, typeset};
 use super::overlay;
 use super::readings::Readings;
-use super::{Confusable, Overlay, Report, bars, format, maps, recorded};
+use super::{Confusable, Overlay, Report, bars, explained, format, maps, recorded};
 use crate::plot::page;
 
 /// Answers less probable than this are listed by name only.
@@ -28,6 +28,7 @@ pub fn page(report: &Report, overlays: &[Overlay]) -> String {
         verdict(report, &answers),
         overlays_section(report, overlays),
         format!("<div class=\"pair\">{}{}</div>", which(&answers), where_(report)),
+        explained_section(report),
         how_far(report),
         recorded_section(report),
         maps_section(report),
@@ -213,6 +214,13 @@ fn where_(report: &Report) -> String {
         content.push_str(&format!("<p class=\"note\">Also considered: {}.</p>\n", rest.join(", ")));
     }
     section("Where", "Share: how much of the gap the best effect there explains.", &content)
+}
+
+fn explained_section(report: &Report) -> String {
+    let note = "Log evidence above zero speaks for the effect, below zero for the other. Error ahead: root mean square over the \
+                horizon. Worse: where the difference in fit lies, by time, command or state.";
+    explained::content(report)
+        .map_or_else(String::new, |content| section("What you asked about", note, &content))
 }
 
 fn recorded_section(report: &Report) -> String {

@@ -2,10 +2,11 @@
 
 use std::collections::BTreeMap;
 
+use parallax_gap::explain::{Explanation, Fate, Worse};
 use parallax_gap::maps::{Bin, Map};
 use parallax_gap::report::{
-    Absorbed, Calibration, Confusable, FittedEffect, Gap, HowFar, Interval, NotTestable, Overlay, Report,
-    Split, Unexplained, Value, Where, Which, sentence,
+    Absorbed, Calibration, Confusable, FittedEffect, Gap, HowFar, Interrupted, Interval, NotTestable,
+    Overlay, Report, Split, Unexplained, Value, Where, Which, sentence,
 };
 
 /// An effect with parameters as (name, value, std, unit).
@@ -129,6 +130,50 @@ pub(crate) fn two_effects() -> Report {
     report.which[0].class = vec!["delay@input:goal + coulomb@joint:shaft".to_owned()];
     let part = |effect: &str, share| Split { effect: effect.to_owned(), share };
     report.how_far.split = vec![part("delay@input:goal", 0.71), part("coulomb@joint:shaft", 0.2857)];
+    report.summary = sentence::summary(&report);
+    report
+}
+
+/// A diagnosis that was asked about every fate of an effect.
+pub(crate) fn asked() -> Report {
+    let fitted = |effect: &str, fate, evidence| Explanation {
+        effect: effect.to_owned(),
+        fate,
+        winner: "delay@input:goal".to_owned(),
+        evidence: Some(evidence),
+        against_no_effect: Some(418.25),
+        error: Some(1.531),
+        winner_error: Some(1.08),
+        parameters: [("time_constant".to_owned(), Value { value: 0.037, std: 0.0021, unit: "s".to_owned() })]
+            .into(),
+        worse: vec![Worse { quantity: "goal".to_owned(), from: 0.35, to: 0.7, readings: 0.125, share: 0.62 }],
+    };
+    let plain = |effect: &str, fate| Explanation {
+        evidence: None,
+        against_no_effect: None,
+        error: None,
+        winner_error: None,
+        parameters: Default::default(),
+        worse: Vec::new(),
+        ..fitted(effect, fate, 0.0)
+    };
+    Report {
+        explanations: vec![
+            Explanation { worse: Vec::new(), ..fitted("delay@input:goal", Fate::Leads, 0.0) },
+            fitted("delay@output:angle", Fate::Alike, -0.3),
+            fitted("lag@input:goal", Fate::Loses, -57.4),
+            plain("viscous@joint:shaft", Fate::Absorbed { by: "b".to_owned() }),
+            plain("cogging@joint:shaft", Fate::NotTestable { reason: "the log covers 0.2 turns".to_owned() }),
+        ],
+        ..one_effect()
+    }
+}
+
+/// A diagnosis that was interrupted before everything was tried.
+pub(crate) fn interrupted() -> Report {
+    let names = ["an unknown cause", "backlash@input:goal", "cogging@joint:shaft", "several effects at once"];
+    let not_tried = names.map(str::to_owned).into();
+    let mut report = Report { interrupted: Some(Interrupted { not_tried }), ..one_effect() };
     report.summary = sentence::summary(&report);
     report
 }

@@ -63,9 +63,15 @@ fn same_before_and_after() -> Overlay {
 fn every_kind_of_diagnosis_gives_a_well_formed_page() {
     let overlays = [cases::overlay(), cases::broken_overlay(), Overlay::default(), same_before_and_after()];
     let none = [];
-    for report in
-        [cases::one_effect(), cases::no_gap(), cases::none_of_these(), cases::empty(), cases::extreme()]
-    {
+    for report in [
+        cases::one_effect(),
+        cases::no_gap(),
+        cases::none_of_these(),
+        cases::empty(),
+        cases::extreme(),
+        cases::asked(),
+        cases::interrupted(),
+    ] {
         check_page(&report, &overlays);
         check_page(&report, &none);
         for overlay in &overlays {
@@ -99,6 +105,40 @@ fn the_page_names_everything_that_the_report_names() {
         ["0.0412 ± 0.0011 s", "97 %", "99.6 %", "99.2 to 99.8 %", "p = 10⁻¹²", "0.334 ± 0.004", "+3.5 σ"]
     {
         assert!(shown.contains(number), "the page does not give {number}");
+    }
+}
+
+#[test]
+fn the_page_answers_what_was_asked() {
+    let page = html::page(&cases::asked(), &[]);
+    let shown = all_text(&parse(&page));
+    for part in [
+        "delay@input:goal is the answer.",
+        "delay@output:angle belongs to the answer's class: this data cannot tell it from delay@input:goal.",
+        "lag@input:goal loses to delay@input:goal.",
+        "−57.4 against delay@input:goal, +418 against no effect at all",
+        "time_constant 0.037 ± 0.002 s",
+        "1.53 noise units, 1.08 with delay@input:goal",
+        "goal 0.35 to 0.7: 62 % of the difference, on 12.5 % of the readings",
+        "viscous@joint:shaft is not fitted: the calibrated parameter b does the same here.",
+        "cogging@joint:shaft is not testable: the log covers 0.2 turns.",
+    ] {
+        assert!(shown.contains(part), "the page does not say `{part}`: {shown}");
+    }
+    assert!(!html::page(&cases::one_effect(), &[]).contains("What you asked about"), "nothing was asked");
+}
+
+#[test]
+fn an_interrupted_diagnosis_says_so_first_and_what_was_not_tried() {
+    let report = cases::interrupted();
+    let page = all_text(&parse(&html::page(&report, &[])));
+    let text = text::summary(&report);
+    assert!(text.starts_with("Interrupted before everything was tried. So far: "), "{text}");
+    for shown in [page, text] {
+        assert!(shown.contains("an unknown cause, backlash@input:goal, cogging@joint:shaft"), "{shown}");
+        assert!(shown.contains("mong what was tried"), "{shown}");
+        // What was not tried has no probability.
+        assert!(!shown.contains("no named effect is the cause"), "{shown}");
     }
 }
 
