@@ -146,7 +146,7 @@ pub(crate) fn asked() -> Report {
         winner_error: Some(1.08),
         parameters: [("time_constant".to_owned(), Value { value: 0.037, std: 0.0021, unit: "s".to_owned() })]
             .into(),
-        worse: vec![Worse { quantity: "goal".to_owned(), from: 0.35, to: 0.7, readings: 0.125, share: 0.62 }],
+        worse: vec![Worse { quantity: "goal".to_owned(), from: 0.35, to: 0.7, readings: 0.12, share: 0.62 }],
     };
     let plain = |effect: &str, fate| Explanation {
         evidence: None,

@@ -119,7 +119,7 @@ fn the_page_answers_what_was_asked() {
         "−57.4 against delay@input:goal, +418 against no effect at all",
         "time_constant 0.037 ± 0.002 s",
         "1.53 noise units, 1.08 with delay@input:goal",
-        "goal 0.35 to 0.7: 62 % of the difference, on 12.5 % of the readings",
+        "goal 0.35 to 0.7: 62 % of the difference, on 12 % of the readings",
         "viscous@joint:shaft is not fitted: the calibrated parameter b does the same here.",
         "cogging@joint:shaft is not testable: the log covers 0.2 turns.",
     ] {
