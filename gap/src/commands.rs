@@ -17,6 +17,8 @@ use crate::experiment::Experiment;
 /// A command's value from a time on.
 #[derive(Clone, Copy, Debug)]
 pub struct Change<const N: usize> {
+    /// When it was sent (s).
+    pub stamp: f64,
     /// When it begins to act (s).
     pub time: Dual<N>,
     /// What reaches the equations.
@@ -55,12 +57,13 @@ pub fn changes<const N: usize>(
             pieces = into_pieces(&pieces, step, tail(&here, &pieces));
             cut = true;
         }
-        act(bound.effect, own, experiment, input, &mut pieces);
+        let begin = begins(plant, experiment, input);
+        act(bound.effect, own, experiment, input, begin, &mut pieces);
     }
     let mut out: Vec<Change<N>> = Vec::with_capacity(pieces.len());
     for piece in &pieces {
         let time = arrival(&here, Dual::from_value(piece.stamp), experiment.origin(piece.stamp));
-        out.push(Change { time, value: piece.value });
+        out.push(Change { stamp: piece.stamp, time, value: piece.value });
     }
     out
 }
@@ -84,25 +87,36 @@ pub fn taken<const N: usize>(plant: &Plant, extra: &[Dual<N>], output: usize, st
 /// Whether readings of an output may be taken at another time than their stamp says.
 #[must_use]
 pub fn is_late(plant: &Plant, output: usize) -> bool {
-    let late = |b: &&BoundEffect| matches!(b.effect, Effect::Delay | Effect::ClockSkew);
-    plant.effects_at(PlaceKind::Output, output).iter().any(late)
+    plant.effects_at(PlaceKind::Output, output).iter().any(|b| moves(b.effect))
 }
 
-/// What a late reading shows of a command, stamped `stamp` (s) and taken at `time`.
+/// Whether a command may act at another time than its stamp says.
+#[must_use]
+pub fn acts_late(plant: &Plant, input: usize) -> bool {
+    plant.effects_at(PlaceKind::Input, input).iter().any(|b| moves(b.effect))
+}
+
+fn moves(effect: Effect) -> bool {
+    matches!(effect, Effect::Delay | Effect::ClockSkew)
+}
+
+/// What a reading shows of a command where one of them is late; it is stamped `stamp` (s) and taken at `time`.
 ///
-/// A reading that shows a command directly would be flat in its delay between two commands, and no fit could find the
-/// delay. It shows the command interpolated between its samples instead: without a delay the one that holds, and a
-/// delay of one period later the one before, whatever the phase between stamps and commands.
+/// A reading that shows a command directly would be flat in a delay between two commands, and jump where they share a
+/// stamp: no fit could find the delay, and the order of events within one period, which a log does not tell, would
+/// pass for one. It shows the command interpolated between its samples instead: without a delay the one that holds, and
+/// a delay of one period later the one before, whatever the phase between stamps and commands.
 #[must_use]
 pub fn between<const N: usize>(channel: &[Change<N>], stamp: f64, time: Dual<N>) -> Dual<N> {
-    let after = |t: f64| channel.partition_point(|c| c.time.value <= t).saturating_sub(1);
+    let after = |t: f64| channel.partition_point(|c| c.stamp <= t).saturating_sub(1);
     let Some(holds) = channel.get(after(stamp)) else { return Dual::from_value(0.0) };
-    let back = holds.time + (time - stamp);
+    let late = (time - stamp) - (holds.time - holds.stamp);
+    let back = late + holds.stamp;
     let at = after(back.value);
     let here = channel[at];
     match channel.get(at + 1) {
-        Some(next) if back.value >= here.time.value && next.time.value > here.time.value => {
-            here.value + (next.value - here.value) * ((back - here.time) / (next.time - here.time))
+        Some(next) if back.value >= here.stamp && next.stamp > here.stamp => {
+            here.value + (next.value - here.value) * ((back - here.stamp) / (next.stamp - here.stamp))
         }
         _ => here.value,
     }
@@ -181,16 +195,29 @@ fn into_pieces<const N: usize>(pieces: &[Piece<N>], step: f64, tail: f64) -> Vec
     out
 }
 
-/// What one effect makes of the sequence. What has a memory has settled at the first command.
+/// What the first reading shows of a command, if an output shows it as it is.
+fn begins(plant: &Plant, experiment: &Experiment, input: usize) -> Option<f64> {
+    let system = plant.equations().system();
+    let name = &system.inputs[input].name;
+    let output = system.outputs.iter().position(|output| output.value.as_name() == Some(name))?;
+    experiment.samples.iter().find(|sample| sample.output == output).map(|sample| sample.value)
+}
+
+/// What one effect makes of the sequence. What has a memory has settled at the first command; play is anywhere within
+/// its gap, and `begin` may show where.
 fn act<const N: usize>(
     effect: Effect,
     own: &[Dual<N>],
     experiment: &Experiment,
     input: usize,
+    begin: Option<f64>,
     pieces: &mut [Piece<N>],
 ) {
     let Some(first) = pieces.first().map(|p| p.value) else { return };
     let mut state = first;
+    if let (Effect::Backlash, Some(begin)) = (effect, begin) {
+        state = play_step(own[0], Dual::from_value(begin), first);
+    }
     let mut rate = Dual::from_value(0.0);
     let supply = experiment.supply(input);
     for piece in pieces {
@@ -230,16 +257,25 @@ mod tests {
 
     #[test]
     fn a_late_reading_shows_earlier_commands_smoothly() {
-        let change = |(k, value): (usize, &f64)| Change::<1> {
-            time: Dual::from_value(0.1 * k as f64),
-            value: Dual::from_value(*value),
+        let sent = |late: Dual<1>| {
+            let change = move |(k, value): (usize, &f64)| {
+                let stamp = 0.1 * k as f64;
+                Change { stamp, time: late + stamp, value: Dual::from_value(*value) }
+            };
+            [1.0, 3.0, 2.0, 6.0].iter().enumerate().map(change).collect::<Vec<Change<1>>>()
         };
-        let channel: Vec<Change<1>> = [1.0, 3.0, 2.0, 6.0].iter().enumerate().map(change).collect();
+        let at_once = sent(Dual::from_value(0.0));
         // Stamped 40 ms after the command that holds.
-        let shown = |delay: f64| between(&channel, 0.24, Dual::variable(delay, 0) * -1.0 + 0.24);
+        let shown = |delay: f64| between(&at_once, 0.24, Dual::variable(delay, 0) * -1.0 + 0.24);
         assert!((shown(0.0).value - 2.0).abs() < 1e-9 && (shown(0.1).value - 3.0).abs() < 1e-9);
         assert!((shown(0.2).value - 1.0).abs() < 1e-9 && (shown(9.0).value - 1.0).abs() < 1e-9);
         let halfway = shown(0.05);
         assert!((halfway.value - 2.5).abs() < 1e-9 && (halfway.gradient[0] - 10.0).abs() < 1e-6);
+        // The same where the command is late instead.
+        for delay in [0.05, 0.12, 0.18] {
+            let late = between(&sent(Dual::variable(delay, 0)), 0.24, Dual::from_value(0.24));
+            assert!((late.value - shown(delay).value).abs() < 1e-9, "{delay}");
+            assert!((late.gradient[0] - shown(delay).gradient[0]).abs() < 1e-6, "{delay}");
+        }
     }
 }

@@ -384,8 +384,14 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
 
     // How readings scatter is a cause of the gap only where their mean leaves nothing larger. Commands that scatter move
     // the machine by chance: neither an effect nor a residual predicts it over a horizon, and innovations alone tell.
+    let shown = if detected && named { best } else { &null };
+    let excess = with_effect.mean_square() - 1.0;
     let by_chance = black_box.mean_square() > CHANCE * with_effect.mean_square();
-    let at_input = |r: &ReadingEffect| by_chance && r.place.starts_with("input:");
+    let at_input = |r: &ReadingEffect| {
+        by_chance
+            && r.place.starts_with("input:")
+            && readings::over_horizon(setup, shown, r).is_some_and(|moved| moved > CHANCE * excess)
+    };
     let clipped = |r: &ReadingEffect| {
         let effects = if detected && named { &best.hypothesis.effects[..] } else { &[] };
         effects.iter().any(|at| at.effect == Effect::SensorSaturation && at.place.to_string() == r.place)

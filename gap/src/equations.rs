@@ -217,8 +217,12 @@ fn table<const N: usize>(simulator: &EquationsSimulator<'_>, theta: &[f64], extr
     all.sort_by(|a, b| a.0.value.total_cmp(&b.0.value));
     let mut table = Table::default();
     let mut current = vec![0_u32; inputs];
-    let late: Vec<bool> =
-        (0..experiment.wraps.len()).map(|output| commands::is_late(&simulator.plant, output)).collect();
+    let delayed = (0..inputs).any(|input| commands::acts_late(&simulator.plant, input));
+    let system = simulator.plant.equations().system();
+    let late = |output: usize| {
+        (delayed || commands::is_late(&simulator.plant, output)) && system.shows_command(output)
+    };
+    let late: Vec<bool> = (0..experiment.wraps.len()).map(late).collect();
     let mut between: Vec<Vec<Dual<N>>> = vec![Vec::new(); inputs];
     for (time, what) in all {
         for (input, channel) in changes.iter().enumerate() {

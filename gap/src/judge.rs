@@ -12,6 +12,9 @@ const CLOSED: f64 = 0.4;
 /// which nobody knows to the last percent.
 const MATERIAL: f64 = 0.005;
 
+/// Share of the gap up to which one hypothesis may explain more than another because of its form alone.
+const FORM: f64 = 0.1;
+
 /// The judge of all hypotheses on one log.
 ///
 /// Where some hypothesis reaches the sensors' noise, both losses are likelihoods of the data, and their mean decides:
@@ -79,6 +82,18 @@ impl Judge {
     #[must_use]
     pub fn is_material(&self, fit: &Fit, base: &Fit) -> bool {
         base.shooting_error - fit.shooting_error >= MATERIAL * self.gap
+    }
+
+    /// Whether some hypothesis reaches the sensors' noise.
+    #[must_use]
+    pub fn is_exact(&self) -> bool {
+        self.exact
+    }
+
+    /// What `fit` explains beyond `base`, in units of what a form that nobody knows exactly may be off by.
+    #[must_use]
+    pub fn beyond_form(&self, fit: &Fit, base: &Fit) -> f64 {
+        (base.shooting_error - fit.shooting_error).max(0.0) / (FORM * self.gap).max(1e-12)
     }
 
     /// −2 log evidence, up to a constant.

@@ -23,9 +23,6 @@ const PRIOR_UNKNOWN: f64 = 0.1;
 /// Prior probability that a cause has a further effect beside it, shared by all that it might be.
 const PRIOR_FURTHER: f64 = 0.3;
 
-/// Share of the gap's square up to which what a residual explains beyond a named cause may be its form.
-const FORM: f64 = 0.1;
-
 /// Difference of −2 log evidence that says nothing.
 const EVEN: f64 = 1.0;
 
@@ -150,10 +147,9 @@ pub fn weigh(
     if let (Some(alone), Some(best), Some(log)) = (&alone, fits.first(), logs.first()) {
         // What a residual explains beyond a named cause is evidence against it only if it is material: no effect has
         // exactly the form that the library gives it.
-        let material = FORM * (null.shooting_error - 1.0).max(0.0);
-        let beyond = (best.shooting_error - alone.shooting_error).max(0.0);
-        if beyond < material && judge.cost(best) < judge.cost(null) {
-            log_unknown = log_unknown.min(log + (beyond / material).max(1e-6).ln());
+        let beyond = judge.beyond_form(alone, best);
+        if beyond < 1.0 && judge.cost(best) < judge.cost(null) {
+            log_unknown = log_unknown.min(log + beyond.max(1e-6).ln());
         }
     }
     // A residual that the evidence does not ask for would only fit noise.
@@ -249,23 +245,28 @@ fn gives_way(fit: &Fit, to: &Fit, judge: &Judge) -> bool {
 }
 
 /// Puts the member to be named first: the simplest of those that the evidence does not tell apart from the best. One
-/// with fewer parameters may be a little worse; of equally simple ones the first in the library's order, which puts
-/// commands before readings, only where the evidence is truly even.
+/// with fewer parameters may be a little worse, and where nothing reaches the noise by what the best one's form is off;
+/// of equally simple ones the first in the library's order, which puts commands before readings, only where the evidence
+/// is truly even.
 fn lead_with_the_simplest(class: &mut [usize], fits: &[Fit], judge: &Judge) {
-    let Some(&best) = class.iter().min_by(|a, b| judge.cost(&fits[**a]).total_cmp(&judge.cost(&fits[**b])))
-    else {
-        return;
-    };
+    let cost = |k: usize| judge.cost(&fits[k]);
+    let Some(&best) = class.iter().min_by(|a, b| cost(**a).total_cmp(&cost(**b))) else { return };
     let size = |k: usize| fits[k].hypothesis.fitted.len();
     let spare = has_spare(&fits[best]);
     let eligible = |k: usize| {
-        let worse = judge.cost(&fits[k]) - judge.cost(&fits[best]);
-        let gives_way = spare || gives_way(&fits[best], &fits[k], judge);
+        let worse = cost(k) - cost(best);
+        let form = !judge.is_exact() && judge.beyond_form(&fits[best], &fits[k]) < 1.0;
+        let gives_way = spare || form || gives_way(&fits[best], &fits[k], judge);
         worse < EVEN || (size(k) < size(best) && (worse < EQUAL || gives_way))
     };
-    let named = (0..class.len())
-        .filter(|&at| eligible(class[at]))
-        .min_by_key(|&at| (size(class[at]), fits[class[at]].hypothesis.effects.clone()));
+    let eligible: Vec<usize> = class.iter().copied().filter(|&k| eligible(k)).collect();
+    let smallest = eligible.iter().map(|&k| size(k)).min().unwrap_or_default();
+    let simplest = eligible.into_iter().filter(|&k| size(k) == smallest);
+    let least = simplest.clone().map(cost).fold(f64::INFINITY, f64::min);
+    let named = simplest
+        .filter(|&k| cost(k) < least + EVEN)
+        .min_by_key(|&k| fits[k].hypothesis.effects.clone())
+        .and_then(|named| class.iter().position(|&k| k == named));
     if let Some(named) = named {
         class[..=named].rotate_right(1);
     }

@@ -125,6 +125,11 @@ fn level(setup: &Setup, at: &EffectAt, index: usize, spec: &EffectParameter, fit
             sized(fitted, 0.2 / largest, &[0.0]);
             fitted.high = 0.9 / largest;
         }
+        // Play wider than the command's range holds what moves where it is.
+        _ if at.effect == Effect::Backlash => {
+            let size = 0.5 * range.std.max(1e-12);
+            sized(fitted, size, &[0.1, 0.8, 1.5 * range.width() / size]);
+        }
         _ if at.effect == Effect::Offset => sized(fitted, 0.5 * range.std.max(1e-12), &[0.1]),
         _ => sized(fitted, 0.5 * range.std.max(1e-12), &[0.1, 0.8]),
     }

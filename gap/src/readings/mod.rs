@@ -25,7 +25,7 @@ use serde::{Deserialize, Serialize};
 use crate::report::Value;
 
 pub use raw::{Suspicion, Suspicious, cleaned, examine};
-pub use scatter::scatter;
+pub use scatter::{over_horizon, scatter};
 
 /// The standard deviation to believe of each output's readings where they show more than the system declares; 0 where
 /// they do not.

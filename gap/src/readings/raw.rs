@@ -92,12 +92,21 @@ fn judged(equations: &Equations, experiment: &Experiment) -> Vec<Judged> {
             let (stamp, value) = experiment.output(o);
             let wrap = experiment.wraps.get(o).copied().flatten();
             let place = format!("output:{}", output.name);
-            judge(Local::new(stamp, value, wrap), wrap, output.noise, &place, &output.unit)
+            // A quantity with inertia moves smoothly; what shows a command jumps where that does.
+            let smooth = !equations.system().shows_command(o);
+            judge(Local::new(stamp, value, wrap), wrap, smooth, output.noise, &place, &output.unit)
         })
         .collect()
 }
 
-fn judge(local: Local, wrap: Option<f64>, declared: Option<f64>, place: &str, unit: &str) -> Judged {
+fn judge(
+    local: Local,
+    wrap: Option<f64>,
+    smooth: bool,
+    declared: Option<f64>,
+    place: &str,
+    unit: &str,
+) -> Judged {
     let n = local.value.len();
     let mut out = Judged { effects: Vec::new(), suspicious: vec![None; n] };
     if n < ENOUGH || local.value.iter().all(|v| *v == local.value[0]) {
@@ -122,7 +131,7 @@ fn judge(local: Local, wrap: Option<f64>, declared: Option<f64>, place: &str, un
     let largest = local.value.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
     let floor = declared.unwrap_or(0.0).max(rounding).max(1e-9 * largest);
     let before = clean.value.clone();
-    let marked = outliers::mark(&mut clean, floor);
+    let marked = if smooth { outliers::mark(&mut clean, floor) } else { vec![false; before.len()] };
     let noise = Noise::new(&clean, declared, floor);
 
     if count > 0 {

@@ -17,6 +17,7 @@ use crate::experiment::Held;
 use crate::filter::{Noise, Pass};
 use crate::innovation::{Segment, walk_plain};
 use crate::library;
+use crate::quantify;
 use crate::report::Value;
 use crate::search::Fit;
 use crate::setup::Setup;
@@ -28,6 +29,9 @@ const WHITE: f64 = 0.25;
 
 /// Disturbed runs whose mean square stands for the variance.
 const RUNS: u64 = 16;
+
+/// Disturbed runs over which errors over the horizon are averaged.
+const HORIZON_RUNS: u64 = 4;
 
 /// Readings on each side over which the mean square is smoothed.
 const SMOOTH: usize = 1;
@@ -98,7 +102,7 @@ pub fn scatter(setup: &Setup, fit: &Fit) -> Vec<ReadingEffect> {
             ));
         }
         // The variance grows with the rate, so that the size is for its root.
-        if let Some((train, test)) = disturbed(&lossy, LOST.sqrt()) {
+        if let Some((train, test)) = disturbed(&|held, random| lossy(held, LOST, random), LOST.sqrt()) {
             effects.extend(judge("drops", "rate", "", (1e-3, 0.9), &train, &test, &place));
         }
     }
@@ -110,6 +114,44 @@ pub fn scatter(setup: &Setup, fit: &Fit) -> Vec<ReadingEffect> {
         effect.significant &= effect.evidence <= here && effect.evidence < TRACE * strongest;
     }
     effects
+}
+
+/// What commands that scatter so do to predictions over the horizon on held-out time: the mean square of the change, in
+/// noise units squared. Nothing for effects on readings, which leave no trace in what is predicted.
+#[must_use]
+pub fn over_horizon(setup: &Setup, fit: &Fit, effect: &ReadingEffect) -> Option<f64> {
+    let system = setup.equations.system();
+    let input = system.inputs.iter().position(|i| effect.place == format!("input:{}", i.name))?;
+    let size = effect.parameters.values().next()?.value;
+    let row = |setup: &Setup| {
+        let simulator = library::simulator(setup, &fit.hypothesis, fit.residuals.clone());
+        quantify::predict(setup, &simulator, fit.estimate(), &fit.innovation.noise)
+    };
+    let plain = row(setup);
+    let runs: Vec<f64> = (0..HORIZON_RUNS)
+        .into_par_iter()
+        .filter_map(|run| {
+            let mut random = ChaCha8Rng::seed_from_u64(run);
+            let mut disturbed = setup.clone();
+            let held = &mut disturbed.experiment.inputs[input];
+            *held = if effect.name == "drops" {
+                lossy(held, size, &mut random)
+            } else {
+                late(held, size, &mut random)
+            };
+            let row = row(&disturbed);
+            if row.readings.len() != plain.readings.len() {
+                return None;
+            }
+            let pairs = row.readings.iter().zip(&plain.readings);
+            let changes = pairs.map(|(a, b)| {
+                let change = wrapped(a.3 - b.3, setup.experiment.wraps[a.0]);
+                (change / setup.output_noise[a.0]).powi(2)
+            });
+            Some(changes.sum::<f64>() / plain.readings.len().max(1) as f64)
+        })
+        .collect();
+    (!runs.is_empty()).then(|| runs.iter().sum::<f64>() / runs.len() as f64)
 }
 
 fn pass(setup: &Setup, fit: &Fit, noise: &Noise, segments: &[Segment]) -> Pass {
@@ -206,10 +248,10 @@ fn late(held: &Held, spread: f64, random: &mut ChaCha8Rng) -> Held {
 }
 
 /// Commands of which some are lost: the one before stays.
-fn lossy(held: &Held, random: &mut ChaCha8Rng) -> Held {
+fn lossy(held: &Held, rate: f64, random: &mut ChaCha8Rng) -> Held {
     let mut out = held.clone();
     for k in 1..out.values.len() {
-        if random.random_bool(LOST) {
+        if random.random_bool(rate.clamp(0.0, 1.0)) {
             out.values[k] = out.values[k - 1];
         }
     }

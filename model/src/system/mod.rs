@@ -190,6 +190,22 @@ impl System {
         self.joints.iter().position(|joint| joint.name == name)
     }
 
+    /// Whether a reading of an output depends on a command at once, through no state.
+    #[must_use]
+    pub fn shows_command(&self, output: usize) -> bool {
+        let mut open: Vec<&str> = self.outputs.get(output).map_or(Vec::new(), |o| o.value.names().collect());
+        let mut seen = std::collections::BTreeSet::new();
+        while let Some(name) = open.pop() {
+            if self.input(name).is_some() {
+                return true;
+            }
+            if let Some(entry) = self.lets.iter().find(|entry| entry.name == name && seen.insert(name)) {
+                open.extend(entry.expression.names());
+            }
+        }
+        false
+    }
+
     /// Every expression of the system.
     fn expressions(&self) -> impl Iterator<Item = &Expression> {
         let joints = self.joints.iter().flat_map(|joint| {
