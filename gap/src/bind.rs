@@ -141,8 +141,9 @@ pub fn bind(system: &System, log: &Log) -> Result<(Equations, Experiment), BindE
     };
     let mut experiment = Experiment::default();
     for input in &system.inputs {
-        let signal = find("input", &input.name, &input.signal)?;
-        if signal.role == Role::Measurement {
+        let names = [&input.signal].into_iter().chain(&input.others);
+        let signals = names.map(|name| find("input", &input.name, name)).collect::<Result<Vec<_>, _>>()?;
+        if let Some(signal) = signals.iter().find(|signal| signal.role == Role::Measurement) {
             return Err(BindError::Role {
                 file: file(),
                 name: input.name.clone(),
@@ -150,9 +151,12 @@ pub fn bind(system: &System, log: &Log) -> Result<(Equations, Experiment), BindE
                 role: signal.role.name(),
             });
         }
-        let mut held = Held { times: Vec::new(), values: signal.values.clone() };
-        held.times.extend(signal.times.iter().map(|t| seconds(*t)));
-        experiment.inputs.push(held);
+        let held = |signal: &&Signal| Held {
+            times: signal.times.iter().map(|t| seconds(*t)).collect(),
+            values: signal.values.clone(),
+        };
+        let signal = signals[0];
+        experiment.inputs.push(Held::mean(signals.iter().map(held).collect()));
         experiment.input_units.push(signal.unit.clone());
         experiment.given.push(signal.role == Role::Context);
         let supply = input.supply.as_ref().map(|stated| {

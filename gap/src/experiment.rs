@@ -55,6 +55,22 @@ pub struct Part {
 }
 
 impl Held {
+    /// The mean of several, from when all have begun.
+    #[must_use]
+    pub fn mean(mut all: Vec<Held>) -> Held {
+        if all.len() == 1 {
+            return all.remove(0);
+        }
+        let begin =
+            all.iter().filter_map(|held| held.times.first().copied()).fold(f64::NEG_INFINITY, f64::max);
+        let mut times: Vec<f64> =
+            all.iter().flat_map(|held| &held.times).copied().filter(|t| *t >= begin).collect();
+        times.sort_by(f64::total_cmp);
+        times.dedup();
+        let at = |time: &f64| all.iter().map(|held| held.at(*time)).sum::<f64>() / all.len() as f64;
+        Held { values: times.iter().map(at).collect(), times }
+    }
+
     /// The value at `time`: the last one stamped at or before it, the first one before that.
     #[must_use]
     pub fn at(&self, time: f64) -> f64 {

@@ -1,5 +1,6 @@
 //! The hypotheses a system allows: every effect at every place where it can act, and why others cannot.
 
+mod possible;
 mod sizes;
 mod testable;
 
@@ -10,6 +11,8 @@ use parallax_model::system::{OwnParameter, StatedEffect, System};
 use crate::equations::EquationsSimulator;
 use crate::hypothesis::{EffectAt, Fitted, Hypothesis, Prior, Slot};
 use crate::setup::Setup;
+
+pub use possible::is_possible;
 
 /// An effect that this system or this log cannot show.
 #[derive(Clone, Debug, PartialEq)]

@@ -100,6 +100,12 @@ pub struct MadeFrom {
     /// The system file; absent where the recording's own was used.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub system: Option<std::path::PathBuf>,
+    /// Where in each recording the diagnosed part begins (s from its first stamp), if one was asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub from: Option<f64>,
+    /// Where it ends.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub to: Option<f64>,
     /// Length of windows and predictions (s), if one was asked for.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub horizon: Option<f64>,

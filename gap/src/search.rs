@@ -319,6 +319,7 @@ pub fn fit_all(
             done(&label);
             Some(fit)
         })
+        .filter(|fit| library::is_possible(setup, fit))
         .collect()
 }
 

@@ -32,6 +32,12 @@ pub(crate) struct Arguments {
     /// The folder for report.json, report.html, report.svg and system.corrected.toml.
     #[arg(long, value_name = "DIR", default_value = "out/diagnosis")]
     out: PathBuf,
+    /// Leave out what comes before, in seconds from each recording's first stamp: a take-off that the system cannot know.
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    from: Option<f64>,
+    /// Leave out what comes from there on, in seconds from each recording's first stamp.
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    to: Option<f64>,
     /// How far ahead predictions are scored; by default a quarter of a second, or ten samples if that is longer.
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
     horizon: Option<f64>,
@@ -59,7 +65,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     if arguments.horizon.is_some_and(|horizon| !(horizon.is_finite() && horizon > 0.0)) {
         return Err(Failure::input(anyhow!("--horizon must be above zero and finite")));
     }
-    let loaded = Loaded::read(&arguments.recordings, arguments.system.as_deref())?;
+    let part = (arguments.from, arguments.to);
+    let loaded = Loaded::read(&arguments.recordings, arguments.system.as_deref(), part)?;
     let signals = Signals::watch().runtime()?;
     let options = Options {
         horizon: arguments.horizon,
@@ -91,11 +98,19 @@ pub(crate) struct Loaded {
     /// The files, as whole paths.
     recordings: Vec<PathBuf>,
     system_file: Option<PathBuf>,
+    part: Part,
 }
 
+/// The part of each recording that is diagnosed: from and to, in seconds from its first stamp.
+pub(crate) type Part = (Option<f64>, Option<f64>);
+
 impl Loaded {
-    /// Reads recordings and their system: the one at `system`, or the one attached to the recordings.
-    pub(crate) fn read(paths: &[PathBuf], system: Option<&Path>) -> Result<Self, Failure> {
+    /// Reads a part of recordings, and their system: the one at `system`, or the one attached to the recordings.
+    pub(crate) fn read(paths: &[PathBuf], system: Option<&Path>, part: Part) -> Result<Self, Failure> {
+        let (from, to) = (part.0.unwrap_or(0.0), part.1.unwrap_or(f64::INFINITY));
+        if from.is_nan() || from < 0.0 || to.is_nan() || to <= from {
+            return Err(Failure::input(anyhow!("--from must be at least zero, and --to after it")));
+        }
         let mut logs = Vec::new();
         let mut attached: Option<(&Path, String)> = None;
         let mut graph = None;
@@ -112,7 +127,11 @@ impl Loaded {
             for note in &log.notes {
                 eprintln!("note: {note}");
             }
-            logs.push(log);
+            let cut = if part == (None, None) { log } else { log.part(from, to) };
+            if cut.span().is_none() {
+                return Err(Failure::input(anyhow!("{} has nothing from {from} s on", path.display())));
+            }
+            logs.push(cut);
             match (own, &attached) {
                 (Some(own), Some((other, text))) if own != *text && system.is_none() => {
                     return Err(Failure::input(anyhow!(
@@ -148,7 +167,7 @@ impl Loaded {
         }
         let whole = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
         let recordings = paths.iter().map(|path| whole(path)).collect();
-        Ok(Self { logs, text, system: parsed, graph, recordings, system_file: system.map(whole) })
+        Ok(Self { logs, text, system: parsed, graph, recordings, system_file: system.map(whole), part })
     }
 
     /// The recordings' titles.
@@ -184,6 +203,8 @@ impl Loaded {
         diagnosis.report.made_from = Some(MadeFrom {
             recordings: self.recordings.clone(),
             system: self.system_file.clone(),
+            from: self.part.0,
+            to: self.part.1,
             horizon: options.horizon,
             seed: options.seed,
         });

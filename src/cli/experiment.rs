@@ -119,7 +119,8 @@ fn designed(arguments: &Arguments, made_from: &MadeFrom, effects: &[String]) -> 
     if made_from.recordings.is_empty() {
         return Err(Failure::input(anyhow!("the report names no recording; run `parallax diagnose` again")));
     }
-    let loaded = Loaded::read(&made_from.recordings, made_from.system.as_deref())?;
+    let loaded =
+        Loaded::read(&made_from.recordings, made_from.system.as_deref(), (made_from.from, made_from.to))?;
     let (equations, experiment) = loaded.bound()?;
     let wishes = Wishes {
         duration: arguments.duration.map(to_seconds),

@@ -285,11 +285,17 @@ impl<'a> Bench<'a> {
         let held = self.commands(&tried.proposal, tried.amplitude);
         let commands: Vec<Command> = held
             .into_iter()
-            .map(|(input, held)| Command {
-                input,
-                signal: system.inputs[input].signal.clone(),
-                unit: self.setup.experiment.input_units.get(input).cloned().unwrap_or_default(),
-                held,
+            .flat_map(|(input, held)| {
+                let unit = self.setup.experiment.input_units.get(input).cloned().unwrap_or_default();
+                let bound = &system.inputs[input];
+                // What is the mean of several signals is sent to each of them.
+                let signals = [&bound.signal].into_iter().chain(&bound.others);
+                signals.map(move |signal| Command {
+                    input,
+                    signal: signal.clone(),
+                    unit: unit.clone(),
+                    held: held.clone(),
+                })
             })
             .collect();
         let ranges: Vec<String> = commands

@@ -38,6 +38,8 @@ pub struct Input {
     pub name: String,
     /// The recorded signal it is bound to.
     pub signal: String,
+    /// Further signals, if the input is the mean of several.
+    pub others: Vec<String>,
     /// The battery behind it, if the file names one.
     pub supply: Option<Supply>,
     /// Line of the entry in `system.toml`.

@@ -185,7 +185,7 @@ fn unit(field: &Field<'_>) -> Result<String, SystemError> {
 }
 
 fn input(name: &str, table: &Table<'_>) -> Result<Input, SystemError> {
-    table.only(&["signal", "supply"])?;
+    table.only(&["signal", "mean_of", "supply"])?;
     let supply = match table.field("supply") {
         None => None,
         Some(field) => {
@@ -197,8 +197,18 @@ fn input(name: &str, table: &Table<'_>) -> Result<Input, SystemError> {
             table.positive("nominal")?.map(|nominal| Supply { signal, nominal })
         }
     };
-    let signal = table.string("signal")?.unwrap_or(name).into();
-    Ok(Input { name: name.into(), signal, supply, line: table.at.line })
+    let (signal, others) = match (table.string("signal")?, table.field("mean_of")) {
+        (Some(_), Some(field)) => {
+            return Err(field.bad("an input is bound by `signal` or by `mean_of`, not by both"));
+        }
+        (None, Some(field)) => {
+            let mut signals = field.strings()?.into_iter();
+            let first = signals.next().ok_or_else(|| field.bad("the list is empty; name the signals"))?;
+            (first, signals.collect())
+        }
+        (signal, None) => (signal.unwrap_or(name).into(), Vec::new()),
+    };
+    Ok(Input { name: name.into(), signal, others, supply, line: table.at.line })
 }
 
 fn state(name: &str, table: &Table<'_>) -> Result<State, SystemError> {

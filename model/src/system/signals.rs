@@ -13,6 +13,9 @@ impl System {
             if let Some(supply) = &input.supply {
                 named.push((format!("the supply of {what}"), input.line, supply.signal.as_str()));
             }
+            for other in &input.others {
+                named.push((what.clone(), input.line, other.as_str()));
+            }
             named.push((what, input.line, input.signal.as_str()));
         }
         for state in &self.states {

@@ -147,6 +147,16 @@ impl<'a> Field<'a> {
         }
     }
 
+    /// A list of strings that are not empty.
+    pub(super) fn strings(&self) -> Result<Vec<String>, SystemError> {
+        let list = self.item.as_array().ok_or_else(|| self.wrong("a list of strings"))?;
+        let string = |item: &toml_edit::Value| {
+            let string = item.as_str().filter(|string| !string.is_empty());
+            string.map(str::to_owned).ok_or_else(|| self.wrong("a list of strings that are not empty"))
+        };
+        list.iter().map(string).collect()
+    }
+
     /// An expression in a string, or a plain number.
     pub(super) fn expression(&self) -> Result<Expression, SystemError> {
         let at = self.value_at();

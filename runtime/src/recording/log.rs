@@ -168,6 +168,29 @@ impl Log {
             .filter_map(Signal::span)
             .reduce(|(first, last), (start, end)| (first.min(start), last.max(end)))
     }
+
+    /// The part of the log from `from` on and before `to`, in seconds from its first stamp. What drives the machine then
+    /// is kept: the value that a command or a context holds at `from` is stamped `from`.
+    #[must_use]
+    pub fn part(&self, from: f64, to: f64) -> Log {
+        let mut part = self.clone();
+        let Some((first, _)) = self.span() else { return part };
+        // A float beyond the range of an integer becomes its bound.
+        let stamp = |seconds: f64| first.saturating_add((seconds * 1e9).round() as i64);
+        let (from, to) = (stamp(from), stamp(to));
+        for signal in &mut part.signals {
+            let begin = signal.times.partition_point(|time| *time < from);
+            let end = signal.times.partition_point(|time| *time < to).max(begin);
+            let held = signal.held(from).filter(|_| signal.times.get(begin) != Some(&from));
+            signal.times = signal.times[begin..end].to_vec();
+            signal.values = signal.values[begin..end].to_vec();
+            if let (Role::Command | Role::Context, Some(held)) = (signal.role, held) {
+                signal.times.insert(0, from);
+                signal.values.insert(0, held);
+            }
+        }
+        part
+    }
 }
 
 #[cfg(test)]
@@ -205,6 +228,20 @@ mod tests {
         assert_eq!(log().span(), Some((-5, 40)));
         assert_eq!(Log::default().span(), None);
         assert_eq!(log().signals[1].rate(), Some(5e7));
+    }
+
+    #[test]
+    fn a_part_begins_with_what_holds_there() {
+        let mut log = log();
+        log.signals[1].role = Role::Command;
+        // The log begins at -5 ns.
+        let part = log.part(20e-9, 45e-9);
+        assert_eq!((&part.signals[0].times, &part.signals[0].values), (&vec![20], &vec![20.0]));
+        assert_eq!((&part.signals[1].times, &part.signals[1].values), (&vec![15], &vec![15.0]));
+        let part = log.part(22e-9, f64::INFINITY);
+        assert_eq!((&part.signals[0].times, &part.signals[1].times), (&vec![20, 40], &vec![17]));
+        assert_eq!(part.signals[1].values, [15.0]);
+        assert_eq!(log.part(0.0, f64::INFINITY), log);
     }
 
     #[test]

@@ -1,0 +1,69 @@
+//! What an effect cannot be, whatever it explains.
+//!
+//! A limit that holds a quantity still removes what a model predicts wrongly, and wins over the true cause wherever the
+//! model is poor: a constant is a good prediction of what hardly moves. But a limit is a limit only if something is left
+//! between its ends, and a sensor that is clipped never reads beyond them.
+
+use parallax_model::effect::{Effect, PlaceKind};
+
+use super::place_index;
+use crate::hypothesis::Slot;
+use crate::search::Fit;
+use crate::setup::Setup;
+use crate::statistics::standard_deviation;
+
+/// Share of a command's deviation that a saturation must leave.
+const LEFT: f64 = 0.25;
+
+/// Share of time that a clipped quantity must be clear of its limits.
+const INSIDE: f64 = 0.1;
+
+/// How far from a limit, in noise units, a reading is clear of it.
+const CLEAR: f64 = 2.0;
+
+/// The same of a state, as a share of its range.
+const CLEAR_STATE: f64 = 0.01;
+
+/// Share of readings that may lie beyond a clipped sensor's limits: outliers.
+const BEYOND: f64 = 0.01;
+
+/// How far beyond a limit, in noise units, a reading must lie to contradict it.
+const FAR: f64 = 4.0;
+
+/// Whether every effect of a fit can be what it says it is.
+#[must_use]
+pub fn is_possible(setup: &Setup, fit: &Fit) -> bool {
+    fit.hypothesis.effects.iter().enumerate().all(|(number, at)| {
+        let Some(index) = place_index(setup, &at.place) else { return true };
+        let value = |name: &str| {
+            let own = |slot: &Slot| matches!(slot, Slot::Effect { effect, .. } if *effect == number);
+            let fitted = fit.hypothesis.fitted.iter().zip(fit.estimate());
+            fitted.filter(|(f, _)| own(&f.slot) && f.name == name).map(|(_, value)| *value).next()
+        };
+        let (low, high) = (value("low").unwrap_or(f64::NEG_INFINITY), value("high").unwrap_or(f64::INFINITY));
+        match (at.effect, at.place.kind) {
+            (Effect::Saturation | Effect::SaturationSoft, PlaceKind::Input) => {
+                let sent = &setup.experiment.inputs[index].values;
+                let left: Vec<f64> = sent.iter().map(|u| u.max(low).min(high)).collect();
+                standard_deviation(&left) >= LEFT * standard_deviation(sent)
+            }
+            (Effect::Saturation | Effect::SaturationSoft, PlaceKind::State) => {
+                let pass = &fit.innovation.pass;
+                let went = pass.state.iter().skip(index).step_by(pass.states().max(1));
+                let clear = CLEAR_STATE * setup.state_range[index].width();
+                let inside = went.clone().filter(|x| **x > low + clear && **x < high - clear).count();
+                inside as f64 >= INSIDE * went.count() as f64
+            }
+            (Effect::SensorSaturation, _) => {
+                let noise = setup.output_noise[index];
+                let (_, readings) = setup.experiment.output(index);
+                let (far, clear) = (FAR * noise, CLEAR * noise);
+                let count = readings.len() as f64;
+                let beyond = readings.iter().filter(|y| **y < low - far || **y > high + far).count();
+                let inside = readings.iter().filter(|y| **y > low + clear && **y < high - clear).count();
+                beyond as f64 <= BEYOND * count && inside as f64 >= INSIDE * count
+            }
+            _ => true,
+        }
+    })
+}
