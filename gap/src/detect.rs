@@ -8,6 +8,7 @@ use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
+use rayon::prelude::*;
 
 use crate::signature::{Nuisance, orthonormal};
 
@@ -34,9 +35,10 @@ pub fn p_value(nuisance: &Nuisance, groups: &[DMatrix<f64>], seed: u64) -> f64 {
     };
     let observed = smallest(&seen);
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let mut nulls: Vec<f64> = (0..NULLS)
-        .map(|_| smallest(&DVector::from_fn(joint.ncols(), |_, _| StandardNormal.sample(&mut random))))
+    let draws: Vec<DVector<f64>> = (0..NULLS)
+        .map(|_| DVector::from_fn(joint.ncols(), |_, _| StandardNormal.sample(&mut random)))
         .collect();
+    let mut nulls: Vec<f64> = draws.par_iter().map(smallest).collect();
     nulls.sort_by(f64::total_cmp);
     let below = nulls.partition_point(|v| *v <= observed);
     if below >= 20 {

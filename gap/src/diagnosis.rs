@@ -3,6 +3,7 @@
 use parallax_model::effect::{Effect, Place, PlaceKind};
 use parallax_model::system::{EffectEntry, Equations, System};
 use parallax_runtime::recording::log::Log;
+use rayon::prelude::*;
 
 use crate::answers;
 use crate::bind::{BindError, bind, bind_all};
@@ -461,12 +462,13 @@ fn split(setup: &Setup, null: &Fit, best: &Fit, refitted: &Row, with_effect: &Ro
         } else if chosen.len() == effects.len() {
             closed(with_effect)
         } else {
-            let fit = search::fit_hypothesis(setup, null, library::hypothesis(setup, &chosen));
+            let fit = search::fit_part(setup, null, library::hypothesis(setup, &chosen), best);
             let simulator = library::simulator(setup, &fit.hypothesis, Vec::new());
             closed(&quantify::predict(setup, &simulator, fit.estimate(), &fit.innovation.noise))
         }
     };
-    let shares = shapley::values(effects.len(), gain);
+    let gains: Vec<f64> = (0..1_usize << effects.len()).into_par_iter().map(gain).collect();
+    let shares = shapley::values(effects.len(), |set| gains[set]);
     effects.iter().zip(shares).map(|(e, share)| Split { effect: e.label(), share }).collect()
 }
 

@@ -338,6 +338,13 @@ impl Run for EquationsRun<'_> {
         self.variables
     }
 
+    fn stands(&self, index: usize) -> bool {
+        let (events, count) = (&self.table.events, self.drive.timed.len());
+        // Two events may meet at these parameters, and part at others.
+        let by = |index: usize| &self.table.times_by[index * count..(index + 1) * count];
+        index + 1 < events.len() && events[index + 1].time == events[index].time && by(index + 1) == by(index)
+    }
+
     fn advance_lanes(&mut self, at: &At, motion: &mut Motion) {
         let count = self.drive.timed.len();
         self.drive.step = F64x16::splat(0.0);

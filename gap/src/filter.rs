@@ -15,7 +15,8 @@ use std::ops::Range;
 
 use parallax_model::lanes::{F64x16, Level};
 
-use crate::simulator::{At, Gradient, LANES, Motion, Run, wrapped};
+use crate::lockstep::{self, Lockstep, Stretch};
+use crate::simulator::{Gradient, LANES, Motion, Run, wrapped};
 use lanes::{CostAt, Covariance, Pattern, Read};
 
 /// Noise intensities.
@@ -180,24 +181,10 @@ fn walk_group(run: &mut dyn Run, group: &[Start], scale: &[f64], noise: &Noise, 
     tape.start_variance = variance;
     let mut found: Vec<Found> = group.iter().map(|_| Found::default()).collect();
     let (mut row, mut gain, mut scratch) = (Gradient::default(), vec![zero; n], vec![zero; 2 * n * n]);
-    let longest = group.iter().map(|s| s.end - s.first).max().unwrap_or(0);
-    for tick in 0..longest {
-        let (mut reads, mut steps): (At, At) = ([None; LANES], [None; LANES]);
-        let mut dt = zero;
-        for (lane, start) in group.iter().enumerate() {
-            let index = start.first + tick;
-            if index >= start.end {
-                continue;
-            }
-            if run.events()[index].reading.is_some_and(|r| r.stamp < start.to) {
-                reads[lane] = Some(index);
-            }
-            if index + 1 < start.end {
-                steps[lane] = Some(index);
-                dt[lane] = run.events()[index + 1].time - run.events()[index].time;
-            }
-        }
-        if reads.iter().any(Option::is_some) {
+    let stretch = |s: &Start| Stretch { first: s.first, end: s.end, from: f64::NEG_INFINITY, to: s.to };
+    let mut lanes = Lockstep::new(group.iter().map(stretch));
+    while let Some(tick) = lanes.next(run) {
+        if let lockstep::Tick::Read(reads) = tick {
             let value = run.observe_lanes(&reads, &motion, &mut row);
             let (mut innovation, mut noise, mut active, mut counts) = (zero, zero, zero, zero);
             let mut output = [NOTHING; LANES];
@@ -245,7 +232,12 @@ fn walk_group(run: &mut dyn Run, group: &[Start], scale: &[f64], noise: &Noise, 
             tape.numbers.extend_from_slice(&gain);
             tape.ticks.push(Tick::Read { by_state, seen, gain: by_state + n, innovation, output, counts });
         }
-        if steps.iter().any(Option::is_some) {
+        if let lockstep::Tick::Advance(steps) = tick {
+            let mut dt = zero;
+            for (lane, index) in steps.iter().enumerate() {
+                let Some(index) = *index else { continue };
+                dt[lane] = run.events()[index + 1].time - run.events()[index].time;
+            }
             run.advance_lanes(&steps, &mut motion);
             let by_state = tape.numbers.len();
             for i in 0..n {

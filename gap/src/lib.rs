@@ -84,6 +84,7 @@ pub mod hypothesis;
 pub mod innovation;
 pub mod judge;
 pub mod library;
+pub mod lockstep;
 pub mod machine;
 pub mod maps;
 pub mod nodes;

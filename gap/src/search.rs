@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::fit::Minimum;
-use crate::hypothesis::{EffectAt, Hypothesis};
+use crate::hypothesis::{EffectAt, Hypothesis, Slot};
 use crate::innovation::{InnovationFit, fit, walk};
 use crate::library;
 use crate::setup::Setup;
@@ -330,6 +330,29 @@ pub fn fit_hypothesis(setup: &Setup, base: &Fit, hypothesis: Hypothesis) -> Fit 
     match shoot_from(setup, base, &hypothesis, &starts, Effort::Full) {
         Some(shot) => refine(setup, base, hypothesis, shot, &first, Effort::Full),
         None => base.clone(),
+    }
+}
+
+/// Fits some of the effects of a fitted hypothesis, from where they are in it.
+#[must_use]
+pub fn fit_part(setup: &Setup, null: &Fit, hypothesis: Hypothesis, whole: &Fit) -> Fit {
+    let mut start: Vec<f64> = hypothesis.fitted.iter().map(|f| f.null).collect();
+    for (e, at) in hypothesis.effects.iter().enumerate() {
+        let Some(of) = whole.hypothesis.effects.iter().position(|other| other == at) else { continue };
+        for (value, fitted) in start.iter_mut().zip(&hypothesis.fitted) {
+            let slot = match fitted.slot {
+                Slot::Effect { effect, parameter } if effect == e => Slot::Effect { effect: of, parameter },
+                Slot::Nominal(index) => Slot::Nominal(index),
+                _ => continue,
+            };
+            if let Some(j) = whole.hypothesis.fitted.iter().position(|f| f.slot == slot) {
+                *value = whole.estimate()[j];
+            }
+        }
+    }
+    match shoot_from(setup, null, &hypothesis, std::slice::from_ref(&start), Effort::Full) {
+        Some(shot) => refine(setup, null, hypothesis, shot, &start, Effort::Full),
+        None => null.clone(),
     }
 }
 

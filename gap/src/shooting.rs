@@ -4,11 +4,16 @@
 //! the shared parameters; nothing drifts over more than a window, so closed loops and unstable plants are no trouble
 //! (multiple shooting without continuity: Bock 1983; the states are eliminated window by window).
 
-use parallax_model::Scalar;
-use parallax_model::lanes::{F64x16, InMemory, Kernel, Level, Simd};
+mod sums;
+mod triangular;
+
+use parallax_model::lanes::{F64x16, Level};
 
 use crate::fit::Local;
-use crate::simulator::{At, Event, Gradient, LANES, Motion, Run, Simulator, wrapped};
+use crate::lockstep::{Lockstep, Stretch, Tick};
+use crate::simulator::{Event, Gradient, LANES, Motion, Run, Simulator, wrapped};
+use sums::{Accumulate, AddScaled, Sums};
+use triangular::{backward, factor, forward};
 
 /// A window: readings whose stamps lie in `[from, to)`, and the state guessed at its first one.
 #[derive(Clone, Debug)]
@@ -91,6 +96,18 @@ pub enum States {
     Settled,
 }
 
+/// What a walk of windows found, to be weighed by another noise without walking again.
+#[derive(Clone, Debug, Default)]
+pub struct Walked {
+    /// Per group of lanes and output.
+    groups: Vec<Vec<Sums>>,
+    /// The windows that have readings.
+    windows: Vec<usize>,
+}
+
+/// Columns up to which a walk is kept: beyond that it takes more memory than it saves time.
+const KEPT_COLUMNS: usize = 64;
+
 /// The cost of the windows at the parameters θ, initial states eliminated; `variance` per output weighs the residuals.
 ///
 /// The curvature and the gradient are those of the states and θ together, the states projected out: a step in θ taken
@@ -101,46 +118,75 @@ pub fn shoot(
     windows: &mut [Window],
     variance: &[f64],
     states: States,
-) -> (Local, Residuals) {
+) -> (Local, Residuals, Walked) {
     let (n, p) = (simulator.states(), simulator.parameters());
     let mut run = simulator.run(theta);
     let mut total = Local { cost: 0.0, information: vec![0.0; p * p], gradient: vec![0.0; p] };
-    let mut residuals = Residuals {
-        squares: vec![0.0; variance.len()],
-        counts: vec![0; variance.len()],
-        ..Residuals::default()
-    };
+    let outputs = variance.len();
+    let mut residuals =
+        Residuals { squares: vec![0.0; outputs], counts: vec![0; outputs], ..Residuals::default() };
+    let mut walked = Walked::default();
     let late = lateness(run.events());
-    let mut found: Vec<(&mut Window, usize, usize)> = windows
-        .iter_mut()
-        .filter_map(|w| {
-            let (first, end) = locate(run.events(), late, w.from, w.to)?;
-            Some((w, first, end))
-        })
-        .collect();
+    let mut found: Vec<Placed<'_>> = Vec::with_capacity(windows.len());
+    for (k, window) in windows.iter_mut().enumerate() {
+        if let Some((first, end)) = locate(run.events(), late, window.from, window.to) {
+            found.push((window, first, end));
+            walked.windows.push(k);
+        }
+    }
     if n > 0 && states == States::Settled {
         // Initial states are settled without the derivatives by θ, which would be most of the work.
         let mut plain = simulator.run_at(theta);
-        let mut normal = Normal::new(n, 0);
-        let mut other = Normal::new(n, 0);
+        let mut normal = Normal::new(n, 0, outputs);
+        let mut other = Normal::new(n, 0, outputs);
         for group in found.chunks_mut(LANES) {
             settle(&mut *plain, group, variance, &mut normal, &mut other);
         }
     }
-    let mut normal = Normal::new(n, p);
+    let mut normal = Normal::new(n, p, outputs);
     for group in found.chunks_mut(LANES) {
         let initial: Vec<Vec<f64>> = group.iter().map(|g| g.0.state.clone()).collect();
         normal.march(&mut *run, group, &initial, variance, Some(&mut residuals));
         for (lane, (window, ..)) in group.iter_mut().enumerate() {
-            let (score, volume) = normal.eliminate(lane, window, &mut total);
-            residuals.scores.push(score);
-            residuals.volume += volume;
+            normal.add(lane, window, &mut total, &mut residuals);
+        }
+        if n + p <= KEPT_COLUMNS {
+            walked.groups.push(normal.sums.clone());
         }
     }
-    for (count, v) in residuals.counts.iter().zip(variance) {
-        total.cost += *count as f64 * v.ln();
+    total.cost += noise_cost(&residuals, variance);
+    (total, residuals, walked)
+}
+
+/// The same windows at the same parameters and states under another noise, if the walk was kept.
+pub fn reweigh(
+    walked: &Walked,
+    simulator: &dyn Simulator,
+    windows: &mut [Window],
+    variance: &[f64],
+    residuals: &mut Residuals,
+) -> Option<Local> {
+    let (n, p) = (simulator.states(), simulator.parameters());
+    if n + p > KEPT_COLUMNS {
+        return None;
     }
-    (total, residuals)
+    let mut total = Local { cost: 0.0, information: vec![0.0; p * p], gradient: vec![0.0; p] };
+    residuals.scores.clear();
+    residuals.volume = 0.0;
+    let mut normal = Normal::new(n, p, 0);
+    for (sums, group) in walked.groups.iter().zip(walked.windows.chunks(LANES)) {
+        normal.weigh(sums, variance);
+        for (lane, window) in group.iter().enumerate() {
+            normal.add(lane, &mut windows[*window], &mut total, residuals);
+        }
+    }
+    total.cost += noise_cost(residuals, variance);
+    Some(total)
+}
+
+/// N log variance, summed over outputs.
+fn noise_cost(residuals: &Residuals, variance: &[f64]) -> f64 {
+    residuals.counts.iter().zip(variance).map(|(count, v)| *count as f64 * v.ln()).sum()
 }
 
 /// A window with its first event and the one after its last.
@@ -155,12 +201,14 @@ struct Normal {
     information: Vec<F64x16>,
     /// Jᵀe over the same.
     gradient: Vec<F64x16>,
+    /// The same without weights, output by output.
+    sums: Vec<Sums>,
     motion: Motion,
     row: Gradient,
 }
 
 impl Normal {
-    fn new(n: usize, p: usize) -> Self {
+    fn new(n: usize, p: usize, outputs: usize) -> Self {
         let (columns, zero) = (n + p, F64x16::splat(0.0));
         Normal {
             n,
@@ -168,6 +216,7 @@ impl Normal {
             squares: zero,
             information: vec![zero; columns * (columns + 1) / 2],
             gradient: vec![zero; columns],
+            sums: vec![Sums::new(columns); outputs],
             motion: Motion::new(n, n, p),
             row: Gradient::default(),
         }
@@ -183,9 +232,7 @@ impl Normal {
         mut residuals: Option<&mut Residuals>,
     ) {
         let zero = F64x16::splat(0.0);
-        self.squares = zero;
-        self.information.fill(zero);
-        self.gradient.fill(zero);
+        self.sums.iter_mut().for_each(Sums::clear);
         self.motion.x.fill(zero);
         for (lane, state) in initial.iter().enumerate() {
             for (lanes, value) in self.motion.x.iter_mut().zip(state) {
@@ -193,52 +240,64 @@ impl Normal {
             }
         }
         self.motion.seed();
-        let longest = group.iter().map(|(_, first, end)| end - first).max().unwrap_or(0);
-        for tick in 0..longest {
-            let (mut reads, mut steps): (At, At) = ([None; LANES], [None; LANES]);
-            let (mut error, mut weight) = (zero, zero);
-            let mut any = false;
-            for (lane, (window, first, end)) in group.iter().enumerate() {
-                let index = first + tick;
-                if index >= *end {
+        let mut lanes = Lockstep::new(group.iter().map(|(window, first, end)| Stretch {
+            first: *first,
+            end: *end,
+            from: window.from,
+            to: window.to,
+        }));
+        while let Some(tick) = lanes.next(run) {
+            let reads = match tick {
+                Tick::Advance(steps) => {
+                    run.advance_lanes(&steps, &mut self.motion);
                     continue;
                 }
-                if index + 1 < *end {
-                    steps[lane] = Some(index);
-                }
-                let reading = run.events()[index].reading;
-                if reading.is_some_and(|r| r.stamp >= window.from && r.stamp < window.to) {
-                    reads[lane] = Some(index);
-                    any = true;
+                Tick::Read(reads) => reads,
+            };
+            let (mut error, mut active) = (zero, zero);
+            let value = run.observe_lanes(&reads, &self.motion, &mut self.row);
+            let mut output = 0;
+            for lane in 0..LANES {
+                let Some(reading) = reads[lane].and_then(|index| run.events()[index].reading) else {
+                    continue;
+                };
+                let e = wrapped(reading.value - value[lane], run.wrap(reading.output));
+                (error[lane], active[lane], output) = (e, 1.0, reading.output);
+                if let Some(residuals) = residuals.as_deref_mut() {
+                    residuals.squares[reading.output] += e * e;
+                    residuals.counts[reading.output] += 1;
                 }
             }
-            if any {
-                let value = run.observe_lanes(&reads, &self.motion, &mut self.row);
-                for lane in 0..LANES {
-                    let Some(reading) = reads[lane].and_then(|index| run.events()[index].reading) else {
-                        continue;
-                    };
-                    let e = wrapped(reading.value - value[lane], run.wrap(reading.output));
-                    error[lane] = e;
-                    weight[lane] = 1.0 / variance[reading.output];
-                    if let Some(residuals) = residuals.as_deref_mut() {
-                        residuals.squares[reading.output] += e * e;
-                        residuals.counts[reading.output] += 1;
-                    }
-                }
-                Level::widest().run(Accumulate {
-                    row: &self.row,
-                    error: &error,
-                    weight: &weight,
-                    squares: &mut self.squares,
-                    information: &mut self.information,
-                    gradient: &mut self.gradient,
-                });
-            }
-            if steps.iter().any(Option::is_some) {
-                run.advance_lanes(&steps, &mut self.motion);
-            }
+            // All lanes read the same output.
+            let sums = &mut self.sums[output];
+            Level::widest().run(Accumulate { row: &self.row, error: &error, active: &active, sums });
         }
+        let sums = std::mem::take(&mut self.sums);
+        self.weigh(&sums, variance);
+        self.sums = sums;
+    }
+
+    /// Sums up the outputs, each weighed by its variance.
+    fn weigh(&mut self, sums: &[Sums], variance: &[f64]) {
+        let zero = F64x16::splat(0.0);
+        self.squares = zero;
+        self.information.fill(zero);
+        self.gradient.fill(zero);
+        for (sums, variance) in sums.iter().zip(variance) {
+            let weight = 1.0 / variance;
+            let add =
+                |to: &mut [F64x16], from: &[F64x16]| Level::widest().run(AddScaled { to, from, weight });
+            add(std::slice::from_mut(&mut self.squares), std::slice::from_ref(&sums.squares));
+            add(&mut self.information, &sums.information);
+            add(&mut self.gradient, &sums.gradient);
+        }
+    }
+
+    /// Adds a window to the total, its state eliminated.
+    fn add(&self, lane: usize, window: &mut Window, total: &mut Local, residuals: &mut Residuals) {
+        let (score, volume) = self.eliminate(lane, window, total);
+        residuals.scores.push(score);
+        residuals.volume += volume;
     }
 
     /// Squared residuals and the weak prior of the initial state, which is `window.state`.
@@ -415,86 +474,5 @@ impl Try {
         backward(&l, normal.n, &mut g);
         self.step = g.into_iter().map(|d| -d).collect();
         self.share = 1.0;
-    }
-}
-
-/// The lower Cholesky factor of a symmetric matrix whose lower triangle is given, if it is positive definite.
-fn factor(mut a: Vec<f64>, n: usize) -> Option<Vec<f64>> {
-    for j in 0..n {
-        for i in j..n {
-            let mut value = a[i * n + j];
-            for k in 0..j {
-                value -= a[i * n + k] * a[j * n + k];
-            }
-            if i == j {
-                if value.is_nan() || value <= 0.0 {
-                    return None;
-                }
-                a[j * n + j] = value.sqrt();
-            } else {
-                a[i * n + j] = value / a[j * n + j];
-            }
-        }
-    }
-    Some(a)
-}
-
-/// x ← L⁻¹ x.
-fn forward(l: &[f64], n: usize, x: &mut [f64]) {
-    for i in 0..n {
-        for k in 0..i {
-            x[i] -= l[i * n + k] * x[k];
-        }
-        x[i] /= l[i * n + i];
-    }
-}
-
-/// x ← L⁻ᵀ x.
-fn backward(l: &[f64], n: usize, x: &mut [f64]) {
-    for i in (0..n).rev() {
-        for k in i + 1..n {
-            x[i] -= l[k * n + i] * x[k];
-        }
-        x[i] /= l[i * n + i];
-    }
-}
-
-/// Adds a reading of each lane to the normal equations; lanes of weight zero add nothing, whatever they hold.
-struct Accumulate<'a> {
-    /// Derivatives of the prediction.
-    row: &'a Gradient,
-    error: &'a F64x16,
-    weight: &'a F64x16,
-    squares: &'a mut F64x16,
-    information: &'a mut [F64x16],
-    gradient: &'a mut [F64x16],
-}
-
-impl Kernel for Accumulate<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<S: Simd>(self) {
-        let row = F64x16::registers::<S>(&self.row.by);
-        let information = F64x16::registers_mut::<S>(self.information);
-        let gradient = F64x16::registers_mut::<S>(self.gradient);
-        let error = <F64x16 as InMemory>::load::<S>(self.error);
-        let weight = <F64x16 as InMemory>::load::<S>(self.weight);
-        let zero = <F64x16 as InMemory>::load::<S>(&F64x16::splat(0.0));
-        let rests = weight.eq(zero);
-        let squares = <F64x16 as InMemory>::load::<S>(self.squares);
-        let weighted = error * weight;
-        <F64x16 as InMemory>::store::<S>(self.squares, squares + error * weighted);
-        for i in self.row.live.iter() {
-            let by = Scalar::select(rests, zero, row[i]);
-            // The residual is the reading less the prediction.
-            gradient[i] -= by * weighted;
-            let scaled = by * weight;
-            let first = i * (i + 1) / 2;
-            for j in self.row.live.iter().take_while(|j| *j <= i) {
-                let other = Scalar::select(rests, zero, row[j]);
-                information[first + j] += scaled * other;
-            }
-        }
     }
 }

@@ -144,6 +144,11 @@ pub trait Run {
     fn events(&self) -> &[Event];
     /// How many parameters the walk gives derivatives by.
     fn parameters(&self) -> usize;
+    /// Whether the next event happens at the time of event `index`, whatever the parameters.
+    fn stands(&self, index: usize) -> bool {
+        let events = self.events();
+        events.get(index + 1).is_some_and(|next| next.time == events[index].time)
+    }
     /// Takes each lane from its event to the next one. What a resting lane holds afterwards is of no use.
     fn advance_lanes(&mut self, at: &At, motion: &mut Motion);
     /// Predicts the reading of each lane's event, which must be one, from its states: the value, and in `by` the

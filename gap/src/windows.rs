@@ -5,7 +5,7 @@ use crate::fit::{Local, Minimum, minimise};
 use crate::hypothesis::Hypothesis;
 use crate::innovation::SETTLING_READINGS;
 use crate::setup::Setup;
-use crate::shooting::{Residuals, States, Window, shoot};
+use crate::shooting::{Residuals, States, Walked, Window, reweigh, shoot};
 use crate::simulator::Simulator;
 
 /// A fit by short windows.
@@ -206,36 +206,53 @@ struct WindowsLoss<'a> {
     variance: Vec<f64>,
     residuals: Residuals,
     /// The last θ that was tried, with what was found there.
-    trial: Option<(Vec<f64>, Vec<Window>, Local, Residuals)>,
+    trial: Option<Trial>,
+}
+
+/// A point that was tried.
+struct Trial {
+    theta: Vec<f64>,
+    windows: Vec<Window>,
+    local: Local,
+    residuals: Residuals,
+    walked: Walked,
 }
 
 impl WindowsLoss<'_> {
     fn at(&mut self, theta: &[f64], accepted: bool) -> Local {
-        let known = self.trial.take().filter(|trial| self.at.is_some() && trial.0 == theta);
-        let (_, trial, mut local, found) = known.unwrap_or_else(|| {
+        let known = self.trial.take().filter(|trial| self.at.is_some() && trial.theta == theta);
+        let trial = known.unwrap_or_else(|| {
             // A trial that is rejected must not leave its initial states behind.
-            let mut trial = self.windows.clone();
+            let mut windows = self.windows.clone();
             let states = match &self.at {
                 Some(at) => {
                     let step: Vec<f64> = theta.iter().zip(at).map(|(to, from)| to - from).collect();
-                    trial.iter_mut().for_each(|window| window.follow(&step));
+                    windows.iter_mut().for_each(|window| window.follow(&step));
                     States::Kept
                 }
                 None => States::Settled,
             };
-            let (local, found) = shoot(self.simulator, theta, &mut trial, &self.variance, states);
-            (theta.to_vec(), trial, local, found)
+            let (local, residuals, walked) =
+                shoot(self.simulator, theta, &mut windows, &self.variance, states);
+            Trial { theta: theta.to_vec(), windows, local, residuals, walked }
         });
+        let mut local = trial.local.clone();
         if accepted {
-            self.windows = trial;
-            self.at = Some(theta.to_vec());
-            self.residuals = found;
+            self.windows = trial.windows;
+            self.at = Some(trial.theta);
+            self.residuals = trial.residuals;
             if self.refit_noise() {
-                (local, self.residuals) =
-                    shoot(self.simulator, theta, &mut self.windows, &self.variance, States::Kept);
+                let (simulator, variance) = (self.simulator, &self.variance);
+                let windows = &mut self.windows;
+                local = reweigh(&trial.walked, simulator, windows, variance, &mut self.residuals)
+                    .unwrap_or_else(|| {
+                        let (local, residuals, _) = shoot(simulator, theta, windows, variance, States::Kept);
+                        self.residuals = residuals;
+                        local
+                    });
             }
         } else {
-            self.trial = Some((theta.to_vec(), trial, local.clone(), found));
+            self.trial = Some(trial);
         }
         if !local.cost.is_finite() {
             local.cost = f64::INFINITY;

@@ -4,6 +4,7 @@
 //! obey the variational equations, S' = (∂f/∂x) S + ∂f/∂θ (Hairer, Nørsett & Wanner, "Solving Ordinary Differential
 //! Equations I", section I.14), by the same Runge–Kutta method: the derivatives are those of the numbers computed.
 
+mod batches;
 pub mod columns;
 mod plan;
 pub mod tape;

@@ -10,6 +10,8 @@ use std::collections::HashMap;
 use parallax_model::Scalar;
 use parallax_model::program::{Binary, Compare, Op, Program, Unary, Value};
 
+use super::batches::{Batches, Step, order};
+
 /// How often an instruction has to run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Rhythm {
@@ -21,18 +23,7 @@ pub enum Rhythm {
     Moving,
 }
 
-/// An operation on slots. Masks are numbers: 1 where it holds, 0 where it does not.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Step {
-    Constant(f64),
-    Unary(Unary, u32),
-    Binary(Binary, u32, u32),
-    Powi(u32, i32),
-    Compare(Compare, u32, u32),
-    Select(u32, u32, u32),
-}
-
-/// The same, to be found again: numbers by their bits.
+/// A step that can be found again: numbers by their bits.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 enum Key {
     Constant(u64),
@@ -41,12 +32,6 @@ enum Key {
     Powi(u32, i32),
     Compare(Compare, u32, u32),
     Select(u32, u32, u32),
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Instruction {
-    step: Step,
-    out: u32,
 }
 
 /// A derivative: the number one, or what a slot holds.
@@ -67,7 +52,7 @@ pub struct Tape {
     pub outputs: Vec<u32>,
     /// The derivatives of each output that are not zero throughout: column and entry, by column.
     pub derivatives: Vec<Vec<(u32, Entry)>>,
-    instructions: [Vec<Instruction>; 3],
+    instructions: [Batches; 3],
 }
 
 impl Tape {
@@ -90,22 +75,7 @@ impl Tape {
     /// Runs the instructions of one rhythm.
     #[inline(always)]
     pub fn run<T: Scalar>(&self, rhythm: Rhythm, slots: &mut [T]) {
-        let (zero, one) = (T::constant(0.0), T::constant(1.0));
-        for instruction in &self.instructions[rhythm as usize] {
-            let value = match instruction.step {
-                Step::Constant(value) => T::constant(value),
-                Step::Unary(unary, a) => unary.apply(slots[a as usize]),
-                Step::Binary(binary, a, b) => binary.apply(slots[a as usize], slots[b as usize]),
-                Step::Powi(a, exponent) => slots[a as usize].powi(exponent),
-                Step::Compare(compare, a, b) => {
-                    T::select(compare.apply(slots[a as usize], slots[b as usize]), one, zero)
-                }
-                Step::Select(mask, then, otherwise) => {
-                    T::select(slots[mask as usize].eq(zero), slots[otherwise as usize], slots[then as usize])
-                }
-            };
-            slots[instruction.out as usize] = value;
-        }
+        self.instructions[rhythm as usize].run(slots);
     }
 }
 
@@ -132,6 +102,12 @@ struct Writer {
 
 impl Writer {
     fn push(&mut self, step: Step) -> u32 {
+        // The same bits, in a kind of which there are many.
+        let step = match step {
+            Step::Powi(a, 1) => return a,
+            Step::Powi(a, 2) => Step::Binary(Binary::Mul, a, a),
+            step => step,
+        };
         let key = match step {
             Step::Constant(value) => Key::Constant(value.to_bits()),
             Step::Unary(f, a) => Key::Unary(f, a),
@@ -448,41 +424,29 @@ impl Writer {
         }
         for (k, step) in self.nodes.iter().enumerate().rev() {
             if needed[self.first + k] {
-                let mut mark = |a: u32| needed[a as usize] = true;
-                match *step {
-                    Step::Constant(_) => {}
-                    Step::Unary(_, a) | Step::Powi(a, _) => mark(a),
-                    Step::Binary(_, a, b) | Step::Compare(_, a, b) => {
-                        mark(a);
-                        mark(b);
-                    }
-                    Step::Select(m, a, b) => {
-                        mark(m);
-                        mark(a);
-                        mark(b);
-                    }
-                }
+                step.operands().into_iter().flatten().for_each(|a| needed[a as usize] = true);
             }
         }
-        let mut place: Vec<u32> = (0..self.first as u32).collect();
+        let mut place: Vec<u32> = (0..self.rhythm.len() as u32).collect();
         let mut slots = self.first as u32;
-        let mut instructions = [Vec::new(), Vec::new(), Vec::new()];
-        for (k, step) in self.nodes.iter().enumerate() {
-            place.push(slots);
-            if !needed[self.first + k] {
-                continue;
+        let mut instructions: [Batches; 3] = Default::default();
+        for rhythm in [Rhythm::Fixed, Rhythm::Held, Rhythm::Moving] {
+            let nodes: Vec<usize> =
+                (self.first..needed.len()).filter(|at| needed[*at] && self.rhythm[*at] == rhythm).collect();
+            for at in order(&nodes, |at| self.nodes[at - self.first]) {
+                let to = |a: u32| place[a as usize];
+                let step = match self.nodes[at - self.first] {
+                    Step::Constant(value) => Step::Constant(value),
+                    Step::Unary(f, a) => Step::Unary(f, to(a)),
+                    Step::Powi(a, e) => Step::Powi(to(a), e),
+                    Step::Binary(f, a, b) => Step::Binary(f, to(a), to(b)),
+                    Step::Compare(f, a, b) => Step::Compare(f, to(a), to(b)),
+                    Step::Select(m, a, b) => Step::Select(to(m), to(a), to(b)),
+                };
+                place[at] = slots;
+                instructions[rhythm as usize].push(step, slots);
+                slots += 1;
             }
-            let to = |a: u32| place[a as usize];
-            let step = match *step {
-                Step::Constant(value) => Step::Constant(value),
-                Step::Unary(f, a) => Step::Unary(f, to(a)),
-                Step::Powi(a, e) => Step::Powi(to(a), e),
-                Step::Binary(f, a, b) => Step::Binary(f, to(a), to(b)),
-                Step::Compare(f, a, b) => Step::Compare(f, to(a), to(b)),
-                Step::Select(m, a, b) => Step::Select(to(m), to(a), to(b)),
-            };
-            instructions[self.rhythm[self.first + k] as usize].push(Instruction { step, out: slots });
-            slots += 1;
         }
         let entry = |part: &Part| match part {
             Part::One => Entry::One,

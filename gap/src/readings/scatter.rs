@@ -276,23 +276,36 @@ impl Sensitivity {
 
     /// Log likelihood of innovations of variance `floor`² + (scale × size)².
     fn log(&self, scale: f64, floor: f64) -> f64 {
-        let pairs = self.innovations.iter().zip(&self.size);
-        pairs
-            .map(|(e, h)| {
+        let (mut quadratic, mut logarithms) = (0.0, 0.0);
+        // One logarithm for a few readings.
+        for (innovations, sizes) in self.innovations.chunks(4).zip(self.size.chunks(4)) {
+            let mut product = 1.0_f64;
+            for (e, h) in innovations.iter().zip(sizes) {
                 let variance = floor * floor + (scale * h).powi(2);
-                -0.5 * (e * e / variance + variance.ln())
-            })
-            .sum()
+                quadratic += e * e / variance;
+                product *= variance;
+            }
+            logarithms += product.ln();
+        }
+        -0.5 * (quadratic + logarithms)
     }
 
     /// The floor that makes it largest, by golden section on its logarithm.
     fn floor(&self, scale: f64) -> f64 {
         let size = root_mean_square(&self.innovations).max(1e-12);
         let ratio = 0.5 * (5.0_f64.sqrt() - 1.0);
+        let at = |log_floor: f64| (log_floor, self.log(scale, log_floor.exp()));
         let (mut low, mut high) = ((0.1 * size).ln(), (1.1 * size).ln());
+        let (mut a, mut b) = (at(high - ratio * (high - low)), at(low + ratio * (high - low)));
         for _ in 0..14 {
-            let (a, b) = (high - ratio * (high - low), low + ratio * (high - low));
-            if self.log(scale, a.exp()) > self.log(scale, b.exp()) { high = b } else { low = a }
+            // One of the two points is one of the next two.
+            if a.1 > b.1 {
+                (high, b) = (b.0, a);
+                a = at(high - ratio * (high - low));
+            } else {
+                (low, a) = (a.0, b);
+                b = at(low + ratio * (high - low));
+            }
         }
         (0.5 * (low + high)).exp()
     }
