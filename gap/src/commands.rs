@@ -68,20 +68,32 @@ pub fn changes<const N: usize>(
     out
 }
 
-/// When a reading was taken that is stamped `stamp` (s).
-#[must_use]
-pub fn taken<const N: usize>(plant: &Plant, extra: &[Dual<N>], output: usize, stamp: f64) -> Dual<N> {
-    let mut time = Dual::from_value(stamp);
-    for bound in plant.effects_at(PlaceKind::Output, output) {
-        let own = || plant.own(bound, extra)[0];
-        match bound.effect {
-            Effect::Delay => time -= own(),
-            // The stamp is t (1 + skew).
-            Effect::ClockSkew => time /= own() + 1.0,
-            _ => {}
-        }
+/// What is between the stamps of an output's readings and the times at which they are taken.
+#[derive(Clone, Debug)]
+pub struct Clock<const N: usize>(Vec<(Effect, Dual<N>)>);
+
+impl<const N: usize> Clock<N> {
+    /// Of an output under the plant's effects.
+    #[must_use]
+    pub fn new(plant: &Plant, extra: &[Dual<N>], output: usize) -> Self {
+        let effects = plant.effects_at(PlaceKind::Output, output).into_iter();
+        let late = effects.filter(|bound| matches!(bound.effect, Effect::Delay | Effect::ClockSkew));
+        Clock(late.map(|bound| (bound.effect, plant.own(bound, extra)[0])).collect())
     }
-    time
+
+    /// When a reading was taken that is stamped `stamp` (s).
+    #[must_use]
+    pub fn taken(&self, stamp: f64) -> Dual<N> {
+        let mut time = Dual::from_value(stamp);
+        for (effect, own) in &self.0 {
+            match effect {
+                Effect::Delay => time -= *own,
+                // The stamp is t (1 + skew).
+                _ => time /= *own + 1.0,
+            }
+        }
+        time
+    }
 }
 
 /// Whether readings of an output may be taken at another time than their stamp says.

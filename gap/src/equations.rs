@@ -206,16 +206,23 @@ fn table<const N: usize>(simulator: &EquationsSimulator<'_>, theta: &[f64], extr
     for channel in &changes {
         all.extend(channel.iter().map(|c| (c.time, What::Change)));
     }
+    let clocks: Vec<commands::Clock<N>> = (0..experiment.wraps.len())
+        .map(|output| commands::Clock::new(&simulator.plant, &extra, output))
+        .collect();
     for sample in &experiment.samples {
         // A clock goes astray from the beginning of its own recording.
         let origin = experiment.origin(sample.stamp);
-        let time = commands::taken(&simulator.plant, &extra, sample.output, sample.stamp - origin) + origin;
+        let time = clocks[sample.output].taken(sample.stamp - origin) + origin;
         let reading = Reading { output: sample.output, value: sample.value, stamp: sample.stamp };
         all.push((time, What::Reading(reading)));
     }
     // The sort is stable, and changes were put in first.
     all.sort_by(|a, b| a.0.value.total_cmp(&b.0.value));
     let mut table = Table::default();
+    table.events.reserve(all.len());
+    table.times_by.reserve(all.len() * count);
+    table.current.reserve(all.len() * inputs);
+    table.shown.reserve(all.len() * inputs);
     let mut current = vec![0_u32; inputs];
     let delayed = (0..inputs).any(|input| commands::acts_late(&simulator.plant, input));
     let system = simulator.plant.equations().system();
@@ -254,7 +261,9 @@ fn table<const N: usize>(simulator: &EquationsSimulator<'_>, theta: &[f64], extr
     for (channel, between) in changes.iter().zip(between) {
         let values: Vec<Dual<N>> = channel.iter().map(|c| c.value).chain(between).collect();
         table.values.push(values.iter().map(|v| v.value).collect());
-        table.values_by.push(values.iter().flat_map(|v| v.gradient[..count].to_vec()).collect());
+        let mut by = Vec::with_capacity(values.len() * count);
+        values.iter().for_each(|v| by.extend_from_slice(&v.gradient[..count]));
+        table.values_by.push(by);
     }
     table
 }

@@ -132,6 +132,18 @@ struct Found {
 }
 
 impl Found {
+    fn with_room(readings: usize, states: usize, parameters: usize) -> Self {
+        Found {
+            innovation: Vec::with_capacity(readings),
+            variance: Vec::with_capacity(readings),
+            by_parameter: Vec::with_capacity(readings * parameters),
+            output: Vec::with_capacity(readings),
+            stamp: Vec::with_capacity(readings),
+            event: Vec::with_capacity(readings),
+            state: Vec::with_capacity(readings * states),
+        }
+    }
+
     /// The readings in the order of their stamps and outputs: the same for every hypothesis, whatever delays it has.
     fn in_order(self) -> Self {
         let mut order: Vec<usize> = (0..self.stamp.len()).collect();
@@ -179,7 +191,12 @@ fn walk_group(run: &mut dyn Run, group: &[Start], scale: &[f64], noise: &Noise, 
         covariance[i * n + i] = variance[i];
     }
     tape.start_variance = variance;
-    let mut found: Vec<Found> = group.iter().map(|_| Found::default()).collect();
+    // Room for all readings at once: growing copies everything again and again.
+    let longest = group.iter().map(|s| s.end - s.first).max().unwrap_or(0);
+    let outputs = noise.log_output.len().max(1);
+    tape.numbers.reserve(longest * (2 * n + n * n / outputs));
+    tape.ticks.reserve(longest);
+    let mut found: Vec<Found> = group.iter().map(|s| Found::with_room(s.end - s.first, n, p)).collect();
     let (mut row, mut gain, mut scratch) = (Gradient::default(), vec![zero; n], vec![zero; 2 * n * n]);
     let stretch = |s: &Start| Stretch { first: s.first, end: s.end, from: f64::NEG_INFINITY, to: s.to };
     let mut lanes = Lockstep::new(group.iter().map(stretch));
