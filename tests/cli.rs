@@ -257,7 +257,24 @@ fn systems_that_do_not_fit() {
     fail(&folder, &["diagnose", "log"], 2, &["--system, such as log/system.toml"]);
     fail(&folder, &["diagnose", "log", "log", "--system", "log"], 2, &["Record longer"]);
     fail(&folder, &["diagnose", "log", "--system", "gone.toml"], 2, &["gone.toml does not exist"]);
+    let brief = ["diagnose", "log", "--system", "log", "--horizon", "0.001"];
+    fail(&folder, &brief, 2, &["a horizon of 0.001 s", "every 0.0100 s"]);
+    // A sensor that is not connected.
+    let rows: String = (0..200).map(|i| format!("{},{},0.5\n", f64::from(i) * 0.01, i % 7)).collect();
+    fs::write(folder.path().join("log/log.csv"), format!("t,u,x\n{rows}")).unwrap();
+    fail(&folder, &["diagnose", "log", "--system", "log"], 2, &["reads the same value throughout"]);
     fail(&folder, &["info", "gone.toml"], 2, &["gone.toml does not exist"]);
+}
+
+#[test]
+fn benchmarks_that_cannot_be_made() {
+    let folder = with_log();
+    let sets = ["singles", "nulls", "other-form", "pairs", "outside", "poor", "short", "leave-out"];
+    let none = sets.map(|set| format!("--{set}=0"));
+    let none: Vec<&str> = ["withheld"].into_iter().chain(none.iter().map(String::as_str)).collect();
+    fail(&folder, &none, 2, &["no case is asked for"]);
+    fail(&folder, &["withheld", "--out", "log/log.csv"], 2, &["log/log.csv/cases cannot be made"]);
+    fail(&folder, &["withheld", "--shard", "3/2"], 2, &["--shard", "such as 2/4"]);
 }
 
 #[test]

@@ -1,12 +1,14 @@
 //! The diagnosis from end to end: bind, fit, weigh, localise, quantify, report.
 
+mod error;
+
 use parallax_model::effect::{Effect, Place, PlaceKind};
 use parallax_model::system::{EffectEntry, Equations, System};
 use parallax_runtime::recording::log::Log;
 use rayon::prelude::*;
 
 use crate::answers;
-use crate::bind::{BindError, bind, bind_all};
+use crate::bind::{bind, bind_all};
 use crate::calibration;
 use crate::detect;
 use crate::equations::MOST_VARIABLES;
@@ -31,58 +33,7 @@ use crate::shapley;
 use crate::signature::{self, Nuisance};
 use crate::stop::Stop;
 use crate::unknown;
-
-/// Why a diagnosis could not be made.
-#[derive(Debug, thiserror::Error)]
-pub enum DiagnosisError {
-    /// System and recording do not fit.
-    #[error(transparent)]
-    Bind(#[from] BindError),
-    /// A choice of effects that this system cannot follow.
-    #[error(transparent)]
-    Options(#[from] OptionsError),
-    /// The log is too short for the windows.
-    #[error(
-        "recording `{title}` spans {span:.3} s; windows of {horizon:.3} s need at least {needed:.3} s. Record longer, or shorten the horizon"
-    )]
-    Short {
-        /// The recording.
-        title: String,
-        /// Its length (s).
-        span: f64,
-        /// The window (s).
-        horizon: f64,
-        /// What is needed (s).
-        needed: f64,
-    },
-    /// More than the fits are made for.
-    #[error(
-        "{file}: {states} states and {calibrated} calibrated parameters are more than the {most} that one diagnosis fits; hold some parameters, or diagnose the machine joint by joint"
-    )]
-    TooMany {
-        /// The system's file.
-        file: String,
-        /// States of the system.
-        states: usize,
-        /// Parameters with `calibrate`.
-        calibrated: usize,
-        /// Most of both together.
-        most: usize,
-    },
-    /// Stopped before anything was found.
-    #[error("the diagnosis was interrupted before any effect was weighed; there is nothing to report")]
-    Stopped,
-    /// The nominal model cannot be run along the log.
-    #[error(
-        "{file}: the nominal system gives numbers that are not finite along recording `{title}`; check its equations and initial values against the log's range"
-    )]
-    NotFinite {
-        /// The system's file.
-        file: String,
-        /// The recording.
-        title: String,
-    },
-}
+pub use error::DiagnosisError;
 
 /// What comes out: the report, what its plots need, and what a corrected system needs.
 #[derive(Clone, Debug)]
@@ -195,11 +146,18 @@ pub(crate) fn prepare(
     // Readings that do not follow the plant would be taken for its motion.
     let least = readings::believed(&equations, &readings::examine(&equations, &experiment));
     let (experiment, _) = readings::cleaned(&equations, &experiment);
+    let (from, to) = experiment.span();
     let mut setup = Setup::with_noise(equations, experiment, options.horizon, &least);
+    if setup.horizon < 2.0 * setup.period {
+        let (horizon, period) = (setup.horizon, setup.period);
+        return Err(DiagnosisError::Horizon { title: title.into(), horizon, period });
+    }
+    if setup.output_range.iter().all(|range| range.width() == 0.0) {
+        return Err(DiagnosisError::Still { title: title.into() });
+    }
     quantify::refine_step(&mut setup);
     setup.stop = Stop::when(options.stop.clone());
     let setup = setup;
-    let (from, to) = setup.experiment.span();
     if setup.train.is_empty() || setup.test.is_empty() {
         return Err(DiagnosisError::Short {
             title: title.into(),

@@ -14,6 +14,7 @@
 //! # Ok::<(), parallax_gap::options::OptionsError>(())
 //! ```
 
+use std::collections::BTreeSet;
 use std::fmt;
 use std::str::FromStr;
 use std::sync::Arc;
@@ -206,7 +207,9 @@ impl Options {
             .chain(priors)
             .chain(self.explain.iter().map(|p| ("explain", p)));
         let mut labels: Vec<String> = known.iter().map(EffectAt::label).collect();
-        labels.dedup();
+        // Forms of an effect share a label.
+        let mut seen = BTreeSet::new();
+        labels.retain(|label| seen.insert(label.clone()));
         for (option, pattern) in patterns {
             if !known.iter().any(|at| pattern.fits(at)) {
                 let written = pattern.to_string();

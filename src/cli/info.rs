@@ -61,7 +61,11 @@ fn kind(path: &Path) -> Result<Kind, Failure> {
         if path.to_str().is_some_and(|name| parallax_nodes::GRAPHS.contains(&name)) {
             return Ok(Kind::Graph);
         }
-        return Err(Failure::input(anyhow!("{} does not exist; check the path", path.display())));
+        let graphs = parallax_nodes::GRAPHS.join(", ");
+        return Err(Failure::input(anyhow!(
+            "{} does not exist; check the path, or give the name of a graph: {graphs}",
+            path.display()
+        )));
     }
     if path.extension().is_none_or(|extension| extension != "toml") {
         return Ok(Kind::Recording);

@@ -129,6 +129,11 @@ fn sealed(arguments: &Arguments, signals: &Signals) -> Result<String, Failure> {
         }
         None => truth::refuse_orphans(&arguments.out.join(CASES))?,
     }
+    if arguments.counts.is_empty() {
+        return Err(Failure::input(anyhow!(
+            "no case is asked for; give at least one set a count, such as --singles 10"
+        )));
+    }
     let program = std::env::current_exe().runtime()?;
     let mut command = Command::new(program);
     command.arg(TRUTH_COMMAND).args(arguments.counts.arguments()).arg("--out").arg(&arguments.out);
@@ -142,6 +147,10 @@ fn sealed(arguments: &Arguments, signals: &Signals) -> Result<String, Failure> {
             "interrupted while the cases were made; remove {} before the next run",
             cases.display()
         )));
+    }
+    // It has said what was wrong with what it was given.
+    if status.code() == Some(2) {
+        return Err(Failure::input(anyhow!("no cases were made, for the reason above")));
     }
     if !status.success() {
         return Err(Failure::runtime(anyhow!("the process that makes the cases failed: {status}")));

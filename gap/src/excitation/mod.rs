@@ -97,6 +97,16 @@ pub enum DesignError {
         /// All commands and outputs.
         known: String,
     },
+    /// Shorter than what predictions are compared over.
+    #[error(
+        "an experiment of {duration} s is too short to tell anything apart; it must last {needed:.3} s at least, the horizon over which predictions are compared"
+    )]
+    Brief {
+        /// How long it was to last (s).
+        duration: f64,
+        /// The horizon (s).
+        needed: f64,
+    },
     /// Fewer than two candidates.
     #[error("there is nothing to tell apart: an experiment needs at least two candidates")]
     Alone,
@@ -238,6 +248,9 @@ pub fn design(
     let candidates = &candidates[..candidates.len().min(MOST_CANDIDATES)];
     if candidates.len() < 2 {
         return Err(DesignError::Alone);
+    }
+    if let Some(duration) = wishes.duration.filter(|duration| *duration < setup.horizon) {
+        return Err(DesignError::Brief { duration, needed: setup.horizon });
     }
     let bench = Bench::new(setup, null, candidates, wishes)?;
     let mut tried: Vec<Tried> =

@@ -10,7 +10,7 @@ use super::cdr::CdrError;
 pub enum RecordingError {
     /// There is no such file.
     #[error(
-        "{path}: there is no such file. Give the path of a recording (.mcap), as `run` or `demo` wrote it"
+        "{path}: there is no such file. Give the path of a recording (.mcap), as `run` or `demo` wrote it, or of a folder of logs with a recording.toml"
     )]
     Missing {
         /// The path that was given.

@@ -67,6 +67,11 @@ impl Counts {
         counts.iter().flat_map(|(name, count)| [(*name).to_owned(), count.to_string()]).collect()
     }
 
+    /// Whether no case is asked for.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.sets().iter().all(|(_, count, _)| *count == 0)
+    }
+
     /// Every set with its count, and whether the true effect is left out of the library.
     fn sets(&self) -> [(Set, usize, bool); 8] {
         [

@@ -30,7 +30,9 @@ fn error(setup: &Setup, simulator: &dyn Simulator, theta: &[f64]) -> Squares {
         let pass = walk(&nominal, std::slice::from_ref(segment), &setup.noise, &loud, &stated);
         let n = nominal.states();
         let mut along = Along::new(simulator.start(&segment.state, &segment.std, segment.from).0, p, 0);
-        let at = |stamp: f64| run.events().partition_point(|event| event.time < stamp - 1e-9);
+        // A hypothesis of a late sensor has its last events before the last stamps.
+        let last = run.events().len().saturating_sub(1);
+        let at = |stamp: f64| run.events().partition_point(|event| event.time < stamp - 1e-9).min(last);
         let places: Vec<usize> = pass.stamp.iter().map(|stamp| at(*stamp)).collect();
         let mut from = 0;
         for to in 1..pass.stamp.len() {
