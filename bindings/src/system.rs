@@ -21,9 +21,7 @@ pub(crate) fn system(
 ) -> PyResult<Bound<'_, PyDict>> {
     let system: System = read_system(&path).map_err(raise)?;
     let system = system.with_constants(&constants).map_err(raise)?;
-    let equations = system.equations().map_err(raise)?;
-    let joints = system.joints.len();
-    let plant = Plant::new(equations, &[], Vec::new(), vec![1.0; joints]);
+    let plant = Plant::alone(system.equations().map_err(raise)?).map_err(raise)?;
 
     let result = PyDict::new(py);
     result.set_item("name", &system.name)?;
@@ -43,12 +41,15 @@ pub(crate) fn system(
         states.append((&state.name, initial))?;
     }
     result.set_item("states", states)?;
+    let own = &plant.state_names()[system.states.len()..];
+    result.set_item("hidden", own.iter().chain(&plant.memory_names()).collect::<Vec<_>>())?;
+    result.set_item("memory", plant.memory_names())?;
     let outputs = PyList::empty(py);
-    for (place, output) in system.outputs.iter().enumerate() {
-        let program = Bound::new(py, NativeProgram { program: plant.output_program(place) })?;
-        outputs.append((&output.name, &output.unit, output.wrap, program))?;
+    for output in &system.outputs {
+        outputs.append((&output.name, &output.unit, output.wrap))?;
     }
     result.set_item("outputs", outputs)?;
-    result.set_item("derivative", Bound::new(py, NativeProgram { program: plant.derivative_program() })?)?;
+    result.set_item("rates", Bound::new(py, NativeProgram { program: plant.rate_program() })?)?;
+    result.set_item("tick", Bound::new(py, NativeProgram { program: plant.tick_program() })?)?;
     Ok(result)
 }

@@ -232,3 +232,91 @@ position = { value = "x", unit = "m" }
     path.write_text(path.read_text().replace("k*x", "k*y"), encoding="utf-8")
     with pytest.raises(px.ParallaxError, match=r"system.toml:.*y|`y`"):
         px.System(path)
+
+
+CORRECTED = """format = 1
+name = "cart"
+[parameters]
+k = { value = 4.0, unit = "N/m" }
+m = { value = 1.5, unit = "kg" }
+[inputs]
+force = { signal = "force" }
+[state]
+x = { derivative = "v", initial = 1.0 }
+v = { derivative = "(force - k*x)/m", initial = 0.0 }
+[outputs]
+position = { value = "x", unit = "m" }
+[joints]
+rail = { position = "x", velocity = "v", inertia = "m", drive = "force" }
+[[effect]]
+name = "saturation"
+place = "input:force"
+parameters = { low = -1.0, high = 2.0 }
+[[effect]]
+name = "lag"
+place = "input:force"
+parameters = { time_constant = 0.05 }
+[[effect]]
+name = "coulomb"
+place = "joint:rail"
+parameters = { force = 0.7 }
+smoothing = 0.1
+[[effect]]
+name = "bias"
+place = "output:position"
+parameters = { bias = 0.25 }
+"""
+
+
+def test_a_corrected_system_has_its_effects(tmp_path, x64):
+    path = tmp_path / "system.corrected.toml"
+    path.write_text(CORRECTED, encoding="utf-8")
+    system, dt = px.System(path), 0.02
+    commands = [3.0 * math.sin(0.11 * i) for i in range(300)]
+
+    def simulate(params, lag):
+        def step(state, force):
+            inputs = {"force": force}
+            return system.step(params, state, inputs, dt), system.output(params, state, inputs)["position"]
+
+        state = system.initial({"force": commands[0]}) | lag
+        return jax.lax.scan(step, state, jax.numpy.asarray(commands))[1]
+
+    shown = jax.jit(simulate)(system.params(), {})
+
+    # The same by hand: the lag solved exactly over each half of a tick, one step of Runge and Kutta over each.
+    x, v, lagged, tau, half = 1.0, 0.0, commands[0], 0.05 + 1e-9, dt / 2
+    for i, command in enumerate(commands):
+        close(shown[i], x + 0.25, 1e-12)
+        command = min(max(command, -1.0), 2.0)
+        for _ in range(2):
+            decay = math.exp(-half / tau)
+            mean = command + (lagged - command) * tau / half * (1 - decay)
+            lagged = command + (lagged - command) * decay
+
+            def rate(x, v, mean=mean):
+                return v, (mean - 0.7 * math.tanh(v / 0.1) - 4.0 * x) / 1.5
+
+            a = rate(x, v)
+            b = rate(x + half / 2 * a[0], v + half / 2 * a[1])
+            c = rate(x + half / 2 * b[0], v + half / 2 * b[1])
+            d = rate(x + half * c[0], v + half * c[1])
+            x += half / 6 * (a[0] + 2 * b[0] + 2 * c[0] + d[0])
+            v += half / 6 * (a[1] + 2 * b[1] + 2 * c[1] + d[1])
+
+    slopes = jax.grad(lambda params, lag: simulate(params, lag)[-1], argnums=(0, 1))(
+        system.params(), system.initial({"force": 0.0})
+    )
+    leaves = jax.tree.leaves(slopes)
+    assert all(math.isfinite(leaf) for leaf in leaves)
+    assert any(leaf != 0 for leaf in leaves)
+
+
+def test_an_effect_that_cannot_act_is_named(tmp_path):
+    path = tmp_path / "system.toml"
+    delay = CORRECTED.replace('"saturation"', '"delay"').replace("{ low = -1.0, high = 2.0 }", "{ delay = 0.1 }")
+    unsmoothed = CORRECTED.replace("smoothing = 0.1\n", "")
+    for text, reason in [(delay, "delay.*input:force.*connection"), (unsmoothed, "coulomb.*joint:rail.*smoothing")]:
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(px.ParallaxError, match=reason):
+            px.System(path)

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use parallax_model::effect::Effect;
+use parallax_model::effect::{Effect, Place, PlaceKind};
 use parallax_model::system::EffectEntry;
 
 use crate::hypothesis::Slot;
@@ -134,8 +134,16 @@ pub(crate) fn places(posterior: &posterior::Posterior, readings: &[ReadingEffect
     out
 }
 
+/// The speed within which dry friction was smoothed.
+fn smoothing(setup: &Setup, effect: &FittedEffect) -> Option<f64> {
+    let place: Place = effect.place.parse().ok()?;
+    let joint = setup.equations.system().joint(&place.key).filter(|_| place.kind == PlaceKind::Joint)?;
+    let dry = Effect::from_name(&effect.name).is_some_and(Effect::is_dry);
+    dry.then(|| setup.joints[joint].smoothing)
+}
+
 /// What is added to a corrected system.
-pub(crate) fn corrected_effects(effects: &[FittedEffect]) -> Vec<EffectEntry> {
+pub(crate) fn corrected_effects(setup: &Setup, effects: &[FittedEffect]) -> Vec<EffectEntry> {
     effects
         .iter()
         // A parameter with another value is written as that value.
@@ -144,6 +152,7 @@ pub(crate) fn corrected_effects(effects: &[FittedEffect]) -> Vec<EffectEntry> {
             name: e.name.clone(),
             place: e.place.clone(),
             parameters: e.parameters.iter().map(|(name, v)| (name.clone(), v.value)).collect(),
+            smoothing: smoothing(setup, e),
             line: 0,
         })
         .collect()

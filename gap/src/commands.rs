@@ -7,9 +7,7 @@
 //! and keeps its derivative, so that fractional delays are smooth.
 
 use parallax_model::Dual;
-use parallax_model::effect::{
-    Effect, PlaceKind, lag_second_order_step, lag_step, play_step, rate_limit_step, sag,
-};
+use parallax_model::effect::{Effect, PlaceKind, play_step, sag};
 use parallax_model::plant::{BoundEffect, Plant};
 
 use crate::experiment::Experiment;
@@ -226,39 +224,19 @@ fn act<const N: usize>(
     pieces: &mut [Piece<N>],
 ) {
     let Some(first) = pieces.first().map(|p| p.value) else { return };
-    let mut state = first;
+    let mut memory = [first, Dual::from_value(0.0)];
     if let (Effect::Backlash, Some(begin)) = (effect, begin) {
-        state = play_step(own[0], Dual::from_value(begin), first);
+        memory[0] = play_step(own[0], Dual::from_value(begin), first);
     }
-    let mut rate = Dual::from_value(0.0);
     let supply = experiment.supply(input);
     for piece in pieces {
         // Two commands at one stamp: the first acts for no time.
         let dt = Dual::from_value(piece.length.max(1e-12));
         piece.value = match effect {
-            Effect::Lag => {
-                let (mean, end) = lag_step(own[0], state, piece.value, dt);
-                state = end;
-                mean
-            }
-            Effect::LagSecondOrder => {
-                let (mean, end) = lag_second_order_step(own[0], own[1], (state, rate), piece.value, dt);
-                (state, rate) = end;
-                mean
-            }
-            Effect::RateLimit => {
-                let (mean, end) = rate_limit_step(own[0], state, piece.value, dt);
-                state = end;
-                mean
-            }
-            Effect::Backlash => {
-                state = play_step(own[0], state, piece.value);
-                state
-            }
             Effect::SupplySag => {
                 supply.map_or(piece.value, |supply| sag(own[0], supply.ratio(piece.stamp), piece.value))
             }
-            effect => effect.input(own, piece.value),
+            effect => effect.held(own, &mut memory, piece.value, dt),
         };
     }
 }

@@ -397,7 +397,7 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
         place: r.place.clone(),
         parameters: r.parameters.clone(),
     }));
-    let effects = answers::corrected_effects(&found);
+    let effects = answers::corrected_effects(setup, &found);
     let mut diagnosis =
         Diagnosis { report, overlays, calibrated: calibration::values(setup, shown), effects };
     diagnosis.report.summary = crate::report::sentence::summary(&diagnosis.report);

@@ -161,6 +161,7 @@ fn a_stated_effect_predicts_as_a_fitted_one() {
                 .map(|p| p.name.to_owned())
                 .zip(values.iter().copied())
                 .collect(),
+            smoothing: None,
             line: 0,
         };
         let text = system.corrected(SYSTEM, &[], std::slice::from_ref(&entry)).expect("it can be written");
@@ -181,6 +182,7 @@ fn a_stated_effect_acts_beside_a_fitted_one() {
         name: name.into(),
         place: place.into(),
         parameters: vec![(parameter.into(), value)],
+        smoothing: None,
         line: 0,
     };
     let stated = [

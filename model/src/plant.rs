@@ -5,10 +5,13 @@
 //! flexible [`Residual`] may stand for a cause that no named effect describes. At their null values all of these
 //! change nothing. The `[[effect]]` entries of the system itself act in every plant, with their stated values.
 
+mod alone;
 mod forces;
 mod residual;
 mod states;
+mod tick;
 
+pub use alone::Unfit;
 pub use residual::{Feature, Residual, Target, Variable};
 pub use states::ExtraState;
 
@@ -40,7 +43,7 @@ pub struct Plant {
     effects: Vec<BoundEffect>,
     residuals: Vec<Residual>,
     smoothing: Vec<f64>,
-    step: f64,
+    step: Longest,
     first_weight: usize,
     extra: usize,
     extra_states: Vec<ExtraState>,
@@ -48,6 +51,15 @@ pub struct Plant {
 
 /// The shortest time that effects with states of their own follow, unless [`Plant::with_step`] says otherwise (s).
 const SHORTEST: f64 = 1e-3;
+
+/// The longest step of the integrator.
+#[derive(Clone, Copy, Debug)]
+enum Longest {
+    /// Seconds.
+    Fixed(f64),
+    /// The extra parameter of this index.
+    Extra(usize),
+}
 
 impl Plant {
     /// The equations with effects and residuals; `smoothing` is the speed, per joint, within which the direction of
@@ -82,7 +94,7 @@ impl Plant {
             effects: bound,
             residuals,
             smoothing,
-            step: SHORTEST,
+            step: Longest::Fixed(SHORTEST),
             first_weight: first,
             extra,
             extra_states,
@@ -93,8 +105,16 @@ impl Plant {
     /// followed as far as a step can: no equation becomes stiff, and slow motions are right.
     #[must_use]
     pub fn with_step(mut self, step: f64) -> Self {
-        self.step = step;
+        self.step = Longest::Fixed(step);
         self
+    }
+
+    /// The longest step (s), one of the extra parameters where it is not known yet.
+    fn step<T: Scalar>(&self, extra: &[T]) -> T {
+        match self.step {
+            Longest::Fixed(step) => T::constant(step),
+            Longest::Extra(index) => extra[index],
+        }
     }
 
     /// The nominal equations.
@@ -262,7 +282,7 @@ impl Plant {
         });
         for (k, effect) in own.take(lags) {
             let tau = self.own(&self.effects[effect], extra)[0];
-            let followed = tau.max(T::constant(self.step));
+            let followed = tau.max(self.step(extra));
             let shown = self.by_states(output, point, &point.states[..n]) - point.states[n + k];
             value -= (tau / followed) * (value - shown);
         }

@@ -2,7 +2,9 @@
 //!
 //! A `system.toml` binds its inputs to signals `NODE.LEAF`. [`kind`] makes a kind of node with one port for every such
 //! node, which integrates the equations from tick to tick. Message k holds the outputs at tick k, under the commands
-//! seen then, and `stamp`, the time of the tick; the commands hold until the next tick.
+//! seen then, and `stamp`, the time of the tick; the commands hold until the next tick. The effects that the system states
+//! (`[[effect]]`, as a diagnosis adds them to a corrected system) act as the diagnosis has them act, with the tick as the
+//! integrator's longest step; what belongs to a graph (a delay) or to chance (jitter) is an error that says so.
 //!
 //! ```
 //! use parallax_model::system::System;
@@ -21,9 +23,9 @@ use std::collections::BTreeMap;
 
 use parallax_model::Scalar;
 use parallax_model::node_model::{FlatModel, NodeStep, Scratch};
-use parallax_model::program::{Program, Workspace};
-use parallax_model::system::{Equations, Initial, System, SystemError};
-use parallax_model::trace::{Traced, trace_fn};
+use parallax_model::plant::{Plant, Unfit};
+use parallax_model::program::Program;
+use parallax_model::system::{Initial, Point, System, SystemError};
 use parallax_runtime::model_node::{ModelKind, ModelStart};
 use parallax_runtime::node::{Layout, NodeContext, NodeError};
 use parallax_runtime::registry::NodeKind;
@@ -48,18 +50,9 @@ pub enum EquationsError {
         /// What it is bound to.
         signal: String,
     },
-    /// A recorded departure from the equations needs more than the equations.
-    #[error(
-        "{file}, line {line}: a node cannot have the effect `{effect}` yet; take it out of this copy of the file"
-    )]
-    Effect {
-        /// The file.
-        file: String,
-        /// The line.
-        line: usize,
-        /// The effect.
-        effect: String,
-    },
+    /// An effect that the system states cannot act in a node.
+    #[error(transparent)]
+    Effect(#[from] Unfit),
     /// An output's name cannot name a leaf.
     #[error("{file}: the output `{output}` cannot name a leaf; `stamp` is the time of the tick")]
     Output {
@@ -84,8 +77,9 @@ struct Tick {
     parameters: Vec<String>,
     states: Vec<String>,
     outputs: Vec<String>,
-    commands: Vec<Command>,
-    /// From parameters, states, commands, time and period to the next states and the outputs of now.
+    /// For each input, what it is the mean of: one command, as a rule.
+    commands: Vec<Vec<Command>>,
+    /// See [`Plant::tick_program`].
     program: Program,
 }
 
@@ -107,28 +101,29 @@ struct Settings {
 ///
 /// # Errors
 ///
-/// [`EquationsError`] when the system is not whole, or an input is not bound to a leaf of a node.
+/// [`EquationsError`] when the system is not whole, an input is not bound to a leaf of a node, or the system states an
+/// effect that cannot act in a node.
 pub fn kind(system: &System, layout: impl Fn(&str) -> Option<Layout>) -> Result<NodeKind, EquationsError> {
     let file = || system.file.clone();
-    if let Some(effect) = system.effects.first() {
-        let (line, effect) = (effect.line, effect.name.clone());
-        return Err(EquationsError::Effect { file: file(), line, effect });
-    }
-    let equations = system.equations()?;
-    let (mut commands, mut ports) = (Vec::new(), Vec::<(String, Layout)>::new());
+    let plant = Plant::alone(system.equations()?)?;
+    let (mut commands, mut ports) = (Vec::<Vec<Command>>::new(), Vec::<(String, Layout)>::new());
     for input in &system.inputs {
-        let bound = input.signal.split_once('.').and_then(|(node, leaf)| {
-            let layout = layout(node)?;
-            Some((node.to_owned(), layout.leaf(leaf)?, layout))
-        });
-        let Some((port, leaf, layout)) = bound else {
-            let (input, signal) = (input.name.clone(), input.signal.clone());
-            return Err(EquationsError::Signal { file: file(), input, signal });
-        };
-        if !ports.iter().any(|(name, _)| *name == port) {
-            ports.push((port.clone(), layout));
+        let mut sources = Vec::new();
+        for signal in [&input.signal].into_iter().chain(&input.others) {
+            let bound = signal.split_once('.').and_then(|(node, leaf)| {
+                let layout = layout(node)?;
+                Some((node.to_owned(), layout.leaf(leaf)?, layout))
+            });
+            let Some((port, leaf, layout)) = bound else {
+                let (input, signal) = (input.name.clone(), signal.clone());
+                return Err(EquationsError::Signal { file: file(), input, signal });
+            };
+            if !ports.iter().any(|(name, _)| *name == port) {
+                ports.push((port.clone(), layout));
+            }
+            sources.push(Command { port, leaf });
         }
-        commands.push(Command { port, leaf });
+        commands.push(sources);
     }
     let mut outputs: Vec<String> = system.outputs.iter().map(|output| output.name.clone()).collect();
     let legal = |name: &str| {
@@ -149,12 +144,13 @@ pub fn kind(system: &System, layout: impl Fn(&str) -> Option<Layout>) -> Result<
     let tick = Tick {
         name: system.name.clone(),
         parameters: system.parameters.iter().map(|parameter| parameter.name.clone()).collect(),
-        states: system.states.iter().map(|state| state.name.clone()).collect(),
+        states: plant.state_names().into_iter().chain(plant.memory_names()).collect(),
         outputs: outputs.clone(),
         commands,
-        program: tick_program(&equations),
+        program: plant.tick_program(),
     };
-    let nominal = equations.nominal();
+    let nominal = plant.equations().nominal();
+    let memory = plant.memory_names().len();
     let (parameters, states) = (system.parameters.clone(), system.states.clone());
     let start = move |context: &NodeContext| -> Result<ModelStart, NodeError> {
         let settings: Settings = context.parameters()?;
@@ -174,7 +170,6 @@ pub fn kind(system: &System, layout: impl Fn(&str) -> Option<Layout>) -> Result<
         let mut params: Vec<f64> = values
             .map(|(p, nominal)| settings.parameters.get(&p.name).copied().unwrap_or(*nominal))
             .collect();
-        params.push(1.0 / context.rate);
         let state = states.iter().map(|state| match (settings.initial.get(&state.name), &state.initial) {
             (Some(value), _) | (None, Initial::Fixed(value) | Initial::Calibrated { value, .. }) => {
                 Ok(*value)
@@ -184,54 +179,18 @@ pub fn kind(system: &System, layout: impl Fn(&str) -> Option<Layout>) -> Result<
                 state.name
             ))),
         });
-        Ok(ModelStart { params, state: state.collect::<Result<_, _>>()? })
+        let state: Vec<f64> = state.collect::<Result<_, _>>()?;
+        // Nothing has been commanded yet; what remembers commands settles at the first one.
+        let inputs = vec![0.0; plant.equations().system().inputs.len()];
+        let mut state =
+            plant.start(&Point { parameters: &params, states: &state, inputs: &inputs, time: 0.0 });
+        state.resize(state.len() + memory, 0.0);
+        params.push(1.0 / context.rate);
+        Ok(ModelStart { params, state })
     };
     let initial = vec![0.0; outputs.len()];
     let kind = NodeKind::from_model(layout, initial, ModelKind::flat(tick, start));
     Ok(ports.into_iter().fold(kind, |kind, (name, layout)| kind.input_with_layout(name, layout)))
-}
-
-/// From parameters, states, commands, time and period to the next states and the outputs of now: one step of the classical
-/// Runge–Kutta method, with the equations as a function that is called four times.
-fn tick_program(equations: &Equations) -> Program {
-    let system = equations.system();
-    let program = equations.program();
-    let (parameters, states) = (system.parameters.len(), system.states.len());
-    let mut inputs = program.inputs().to_vec();
-    inputs.push("period".into());
-    let mut outputs: Vec<String> =
-        system.states.iter().map(|state| format!("state.{}", state.name)).collect();
-    outputs.extend(system.outputs.iter().map(|output| format!("output.{}", output.name)));
-    trace_fn(&system.name, &inputs, &outputs, |all| {
-        let (before, period) = all.split_at(all.len() - 1);
-        let period = period[0];
-        let evaluate = |x: &[Traced], after: Option<Traced>| {
-            let mut point = before.to_vec();
-            point[parameters..parameters + states].copy_from_slice(x);
-            if let (Some(after), Some(time)) = (after, point.last_mut()) {
-                *time += after;
-            }
-            let mut values = vec![Traced::constant(0.0); program.outputs().len()];
-            Traced::call_values("equations", &point, &mut values, |point, values| {
-                program.evaluate(point, &mut Workspace::new(), values);
-            });
-            values
-        };
-        let along = |x: &[Traced], slope: &[Traced], dt: Traced| -> Vec<Traced> {
-            x.iter().zip(slope).map(|(x, slope)| *x + *slope * dt).collect()
-        };
-        let x = before[parameters..parameters + states].to_vec();
-        let half = period * 0.5;
-        let now = evaluate(&x, None);
-        let k1 = &now[..states];
-        let k2 = evaluate(&along(&x, k1, half), Some(half));
-        let k3 = evaluate(&along(&x, &k2, half), Some(half));
-        let k4 = evaluate(&along(&x, &k3, period), Some(period));
-        let mut out: Vec<Traced> =
-            (0..states).map(|i| x[i] + (k1[i] + k4[i] + (k2[i] + k3[i]) * 2.0) * (period / 6.0)).collect();
-        out.extend(&now[states..]);
-        out
-    })
 }
 
 /// `two_link_arm` as `TwoLinkArm`, a message's name.
@@ -269,11 +228,12 @@ impl FlatModel for Tick {
         let (parameters, states) = (self.parameters.len(), self.states.len());
         given[..parameters].copy_from_slice(&params[..parameters]);
         given[parameters..parameters + states].copy_from_slice(state);
-        for (place, command) in given[parameters + states..].iter_mut().zip(&self.commands) {
-            *place = step.leaf(&command.port, command.leaf);
+        for (place, sources) in given[parameters + states..].iter_mut().zip(&self.commands) {
+            let sum = sources.iter().map(|s| step.leaf(&s.port, s.leaf)).reduce(|sum, value| sum + value);
+            *place = sum.unwrap_or(T::constant(0.0)) / sources.len() as f64;
         }
-        given[inputs - 2] = step.due;
-        given[inputs - 1] = params[parameters];
+        let first = T::select(step.seq.eq(T::constant(0.0)), T::constant(1.0), T::constant(0.0));
+        given[inputs - 3..].copy_from_slice(&[step.due, params[parameters], first]);
         self.program.evaluate(given, &mut scratch.workspace, results);
         let (next, seen) = results.split_at(states);
         state.copy_from_slice(next);

@@ -3,6 +3,7 @@
 //! The functions that end in `_step` carry a state along a held command: they give the mean of what acts over an
 //! interval and its value at the end, exactly, so that intervals need not be short for the effect's sake.
 
+use super::Effect;
 use crate::Scalar;
 
 /// A command that bends towards its limits: low + s ln(1 + e^((u−low)/s)) − s ln(1 + e^((u−high)/s)), the difference
@@ -114,6 +115,46 @@ pub fn rate_limit_step<T: Scalar>(rate: T, state: T, command: T, dt: T) -> (T, T
 pub fn play_step<T: Scalar>(gap: T, state: T, command: T) -> T {
     let half = gap * 0.5;
     state.max(command - half).min(command + half)
+}
+
+impl Effect {
+    /// How many numbers the effect keeps of a command's history.
+    #[must_use]
+    pub const fn memory(self) -> usize {
+        match self {
+            Effect::Lag | Effect::RateLimit | Effect::Backlash => 1,
+            Effect::LagSecondOrder => 2,
+            _ => 0,
+        }
+    }
+
+    /// The mean of what acts while a command is held for `dt` seconds. `memory` goes on to the end of that time; where the
+    /// command has always been the same it is that command, then zero. Effects without one act on the value alone.
+    #[must_use]
+    pub fn held<T: Scalar>(self, parameters: &[T], memory: &mut [T], command: T, dt: T) -> T {
+        match (self, parameters, memory) {
+            (Effect::Lag, &[time_constant], [state, ..]) => {
+                let (mean, end) = lag_step(time_constant, *state, command, dt);
+                *state = end;
+                mean
+            }
+            (Effect::LagSecondOrder, &[time_constant, damping], [state, rate]) => {
+                let (mean, end) = lag_second_order_step(time_constant, damping, (*state, *rate), command, dt);
+                (*state, *rate) = end;
+                mean
+            }
+            (Effect::RateLimit, &[limit], [state, ..]) => {
+                let (mean, end) = rate_limit_step(limit, *state, command, dt);
+                *state = end;
+                mean
+            }
+            (Effect::Backlash, &[gap], [state, ..]) => {
+                *state = play_step(gap, *state, command);
+                *state
+            }
+            _ => self.input(parameters, command),
+        }
+    }
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! Friction: forces against the motion of a joint.
 
+use super::Effect;
 use crate::Scalar;
 
 /// The motion of a joint at one instant, and what acts on it.
@@ -24,6 +25,15 @@ impl<T: Scalar> JointMotion<T> {
     /// −1 to 1: the direction of motion, smoothed around rest.
     fn direction(&self) -> T {
         (self.velocity / self.smoothing).tanh()
+    }
+}
+
+impl Effect {
+    /// Whether it is friction whose direction is that of the motion however slow: without data its smoothing has to be
+    /// stated.
+    #[must_use]
+    pub const fn is_dry(self) -> bool {
+        matches!(self, Effect::Coulomb | Effect::Stribeck | Effect::LoadFriction | Effect::AsymmetricFriction)
     }
 }
 

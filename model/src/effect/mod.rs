@@ -336,10 +336,10 @@ impl Effect {
         )
     }
 
-    /// Whether it acts on a command through the command's history: see the functions `*_step` of this module.
+    /// Whether it acts on a command through the command's history: see [`Effect::held`].
     #[must_use]
     pub const fn has_memory(self) -> bool {
-        matches!(self, Effect::Lag | Effect::LagSecondOrder | Effect::RateLimit | Effect::Backlash)
+        self.memory() > 0
     }
 
     /// When it acts among several at one place: the smallest stage first.

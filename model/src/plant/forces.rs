@@ -166,8 +166,8 @@ impl Plant {
             let (stiffness, damping, ratio) = (own[0], own[1], own[2]);
             // The far side must move no faster than a step can follow; see `Plant::with_step`.
             let mobility = unit[at][at];
-            let step = self.step;
-            let slowest = mobility * (stiffness * (0.25 * step * step) + damping * (0.5 * step)) + 1e-9;
+            let step = self.step(extra);
+            let slowest = mobility * (stiffness * (step * step * 0.25) + damping * (step * 0.5)) + 1e-9;
             let followed = ratio.max(slowest);
             let source = match (b.effect, joint.drive) {
                 (Effect::Flexibility, Some(drive)) => drive,

@@ -115,8 +115,9 @@ impl Plant {
             let own = self.own(bound, extra);
             let (low, high) = (own[0], own[1]);
             let (x, d) = (point.states[bound.index], derivatives[bound.index]);
-            let above = d.min(zero) - (x - high) / self.step;
-            let below = d.max(zero) + (low - x) / self.step;
+            let step = self.step(extra);
+            let above = d.min(zero) - (x - high) / step;
+            let below = d.max(zero) + (low - x) / step;
             derivatives[bound.index] = T::select(high.lt(x), above, T::select(x.lt(low), below, d));
         }
     }
@@ -137,7 +138,7 @@ impl Plant {
                 ExtraState::Reading { effect, output } => {
                     // A lag shorter than a step is followed as one of a step, and shown in proportion (see `lagged`):
                     // y − τ ẏ to first order in both. The state is g − s, with τ ṡ = y − s and ġ along the motion.
-                    let tau = self.own(&self.effects[effect], extra)[0].max(T::constant(self.step));
+                    let tau = self.own(&self.effects[effect], extra)[0].max(self.step(extra));
                     let source = self.lagged(output, point, extra, values, lags[output]);
                     lags[output] += 1;
                     let states = &point.states[..n];

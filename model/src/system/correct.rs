@@ -99,4 +99,7 @@ fn fill(table: &mut dyn TableLike, effect: &EffectEntry) {
     table.insert("name", toml_edit::value(&effect.name));
     table.insert("place", toml_edit::value(&effect.place));
     table.insert("parameters", toml_edit::value(parameters));
+    if let Some(smoothing) = effect.smoothing {
+        table.insert("smoothing", toml_edit::value(smoothing));
+    }
 }

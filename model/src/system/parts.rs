@@ -206,6 +206,9 @@ pub struct EffectEntry {
     pub place: String,
     /// Its parameters by name, in the order of the file.
     pub parameters: Vec<(String, f64)>,
+    /// The speed (rad/s or m/s) within which the direction of dry friction is smoothed around rest; a diagnosis chooses it
+    /// from its data, and what simulates the system without any needs it.
+    pub smoothing: Option<f64>,
     /// Line of the entry in `system.toml`; 0 for one that is not from a file.
     pub line: usize,
 }

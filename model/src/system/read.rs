@@ -310,7 +310,7 @@ fn index_of<'a>(
 }
 
 fn effect(table: &Table<'_>, system: &System) -> Result<EffectEntry, SystemError> {
-    table.only(&["name", "place", "parameters"])?;
+    table.only(&["name", "place", "parameters", "smoothing"])?;
     let named = table.needed("name", "name the effect, such as `name = \"delay\"`")?;
     let name = named.string()?;
     let place = table.needed("place", "say where it acts, such as `place = \"input:u\"`")?;
@@ -330,8 +330,13 @@ fn effect(table: &Table<'_>, system: &System) -> Result<EffectEntry, SystemError
             parameters.push((field.key.to_owned(), field.number()?));
         }
     }
-    let entry =
-        EffectEntry { name: name.into(), place: place.string()?.into(), parameters, line: table.at.line };
+    let entry = EffectEntry {
+        name: name.into(),
+        place: place.string()?.into(),
+        parameters,
+        smoothing: table.positive("smoothing")?,
+        line: table.at.line,
+    };
     check_effect(&entry, effect, &place, &named)?;
     Ok(entry)
 }
