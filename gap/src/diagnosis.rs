@@ -8,7 +8,7 @@ use parallax_runtime::recording::log::Log;
 use rayon::prelude::*;
 
 use crate::answers;
-use crate::bind::{bind, bind_all};
+use crate::bind::bind_all;
 use crate::calibration;
 use crate::detect;
 use crate::equations::MOST_VARIABLES;
@@ -21,6 +21,7 @@ use crate::library;
 use crate::maps;
 pub use crate::options::Options;
 use crate::options::OptionsError;
+use crate::pieces;
 use crate::posterior::{self, Answer};
 use crate::quantify::{self, Row};
 use crate::readings::{self, ReadingEffect};
@@ -46,6 +47,31 @@ pub struct Diagnosis {
     pub calibrated: Vec<(String, f64)>,
     /// The effects of the leading answer.
     pub effects: Vec<EffectEntry>,
+    /// What the errors on held-out time are made of.
+    pub(crate) rows: Rows,
+}
+
+/// Predictions of the rows of [`HowFar`].
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Rows {
+    pub(crate) nominal: Row,
+    pub(crate) refitted: Row,
+    pub(crate) with_effect: Row,
+    pub(crate) black_box: Row,
+}
+
+impl Rows {
+    /// One after the other.
+    pub(crate) fn joined<'a>(all: impl Iterator<Item = &'a Rows>) -> Rows {
+        let mut joined = Rows::default();
+        for rows in all {
+            joined.nominal.extend(&rows.nominal);
+            joined.refitted.extend(&rows.refitted);
+            joined.with_effect.extend(&rows.with_effect);
+            joined.black_box.extend(&rows.black_box);
+        }
+        joined
+    }
 }
 
 /// Diagnoses one recording. `progress` is told what is done, from 0 to 1.
@@ -59,8 +85,7 @@ pub fn diagnose(
     options: &Options,
     progress: &(dyn Fn(f64, &str) + Sync),
 ) -> Result<Diagnosis, DiagnosisError> {
-    let (equations, experiment) = bind(system, log)?;
-    diagnose_experiment(equations, experiment, &log.title, options, progress)
+    diagnose_all(system, std::slice::from_ref(log), options, progress)
 }
 
 /// Diagnoses several recordings of one machine together: the parameters are shared, states and constants are each
@@ -75,9 +100,14 @@ pub fn diagnose_all(
     options: &Options,
     progress: &(dyn Fn(f64, &str) + Sync),
 ) -> Result<Diagnosis, DiagnosisError> {
-    let (equations, experiment) = bind_all(system, logs)?;
     let titles: Vec<&str> = logs.iter().map(|log| log.title.as_str()).collect();
-    let mut found = diagnose_experiment(equations, experiment, &titles.join(", "), options, progress)?;
+    let independent = system.independent();
+    let mut found = if independent.len() > 1 {
+        pieces::diagnose(system, &independent, logs, options, progress)?
+    } else {
+        let (equations, experiment) = bind_all(system, logs)?;
+        diagnose_experiment(equations, experiment, &titles.join(", "), options, progress)?
+    };
     found.report.recordings = titles.into_iter().map(str::to_owned).collect();
     Ok(found)
 }
@@ -94,6 +124,18 @@ pub fn diagnose_experiment(
     options: &Options,
     progress: &(dyn Fn(f64, &str) + Sync),
 ) -> Result<Diagnosis, DiagnosisError> {
+    diagnose_bound(equations, experiment, title, options, true, progress)
+}
+
+/// The same; the effects that the options name are `checked` against what this system has, or already were.
+pub(crate) fn diagnose_bound(
+    equations: Equations,
+    experiment: Experiment,
+    title: &str,
+    options: &Options,
+    checked: bool,
+    progress: &(dyn Fn(f64, &str) + Sync),
+) -> Result<Diagnosis, DiagnosisError> {
     progress(0.0, "nominal model");
     let readings = readings::examine(&equations, &experiment);
     let (setup, null) = prepare(equations, experiment, title, options)?;
@@ -103,7 +145,12 @@ pub fn diagnose_experiment(
     let nuisance = Nuisance::new(&null);
     let (mut candidates, mut not_testable) = library::candidates(&setup);
     candidates.extend(outgrown(&setup, &null));
-    let candidates = chosen(&setup, candidates, &mut not_testable, options)?;
+    if checked {
+        let mut known = library::known(&setup);
+        known.extend(candidates.iter().cloned());
+        options.check(&known)?;
+    }
+    let candidates = chosen(candidates, &mut not_testable, options);
     let (candidates, columns, absorbed) = screen(&setup, &null, &nuisance, candidates, &mut not_testable);
 
     let done = std::sync::atomic::AtomicUsize::new(0);
@@ -205,22 +252,17 @@ fn outgrown(setup: &Setup, null: &Fit) -> Vec<EffectAt> {
 
 /// The effects that the user lets be tried; the others are listed as not tested.
 fn chosen(
-    setup: &Setup,
     candidates: Vec<EffectAt>,
     not_testable: &mut Vec<library::NotTestable>,
     options: &Options,
-) -> Result<Vec<EffectAt>, OptionsError> {
-    let mut known: Vec<EffectAt> =
-        candidates.iter().chain(not_testable.iter().map(|n| &n.effect)).cloned().collect();
-    known.extend(library::statistical(setup));
-    options.check(&known)?;
+) -> Vec<EffectAt> {
     not_testable.retain(|n| options.allows(&n.effect));
     let (kept, left_out) = candidates.into_iter().partition(|at| options.allows(at));
     not_testable.extend(
         Vec::into_iter(left_out)
             .map(|effect| library::NotTestable { effect, reason: "you left it out".into() }),
     );
-    Ok(kept)
+    kept
 }
 
 /// Error of predictions on held-out time, in noise units, up to which their mean counts as explained.
@@ -398,8 +440,9 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
         parameters: r.parameters.clone(),
     }));
     let effects = answers::corrected_effects(setup, &found);
+    let rows = Rows { nominal, refitted, with_effect, black_box };
     let mut diagnosis =
-        Diagnosis { report, overlays, calibrated: calibration::values(setup, shown), effects };
+        Diagnosis { report, overlays, calibrated: calibration::values(setup, shown), effects, rows };
     diagnosis.report.summary = crate::report::sentence::summary(&diagnosis.report);
     diagnosis
 }

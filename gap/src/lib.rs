@@ -90,6 +90,7 @@ pub mod maps;
 pub mod nodes;
 pub mod noise;
 pub mod options;
+mod pieces;
 pub mod plot;
 pub mod posterior;
 pub mod quantify;

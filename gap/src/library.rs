@@ -48,6 +48,13 @@ pub fn statistical(setup: &Setup) -> Vec<EffectAt> {
     everywhere(setup, Effect::statistical).into_iter().map(|(at, _)| at).collect()
 }
 
+/// Every effect at every place, whether it can be tested or not.
+#[must_use]
+pub fn known(setup: &Setup) -> Vec<EffectAt> {
+    let (found, not) = candidates(setup);
+    found.into_iter().chain(not.into_iter().map(|n| n.effect)).chain(statistical(setup)).collect()
+}
+
 /// Effects at all places of their kinds, with the index of the place.
 fn everywhere(setup: &Setup, chosen: impl Fn(Effect) -> bool) -> Vec<(EffectAt, usize)> {
     let system = setup.equations.system();

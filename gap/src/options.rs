@@ -21,7 +21,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use parallax_model::effect::{Place, PlaceKind};
-use parallax_model::system::Suggestion;
+use parallax_model::system::{Suggestion, System};
 
 use crate::hypothesis::EffectAt;
 
@@ -187,6 +187,29 @@ impl Options {
     pub fn allows(&self, at: &EffectAt) -> bool {
         !self.exclude.iter().any(|pattern| pattern.fits(at))
             && (self.only.is_empty() || self.only.iter().any(|pattern| pattern.fits(at)))
+    }
+
+    /// Whether any option names effects.
+    pub(crate) fn names_effects(&self) -> bool {
+        !(self.exclude.is_empty()
+            && self.only.is_empty()
+            && self.priors.is_empty()
+            && self.explain.is_empty())
+    }
+
+    /// Whether any effect that may be tried has its place in this part of a system.
+    pub(crate) fn concerns(&self, part: &System) -> bool {
+        let holds = |(kind, key): &(PlaceKind, Option<String>)| {
+            key.as_ref().is_none_or(|key| match kind {
+                PlaceKind::Input => part.input(key).is_some(),
+                PlaceKind::Output => part.output(key).is_some(),
+                PlaceKind::Joint => part.joint(key).is_some(),
+                PlaceKind::State => part.state(key).is_some(),
+                PlaceKind::Parameter => part.parameter(key).is_some(),
+                _ => true,
+            })
+        };
+        self.only.is_empty() || self.only.iter().any(|pattern| pattern.place.as_ref().is_none_or(holds))
     }
 
     /// How likely this effect is beforehand, in units of one that nothing is said of.

@@ -32,6 +32,12 @@ pub struct Row {
 }
 
 impl Row {
+    /// Adds the predictions of another one.
+    pub fn extend(&mut self, other: &Row) {
+        self.blocks.extend_from_slice(&other.blocks);
+        self.readings.extend_from_slice(&other.readings);
+    }
+
     /// Mean squared error in noise units squared.
     #[must_use]
     pub fn mean_square(&self) -> f64 {

@@ -222,7 +222,7 @@ impl Loaded {
     }
 
     fn write(&self, diagnosis: Diagnosis, out: &Path) -> Result<Report, Failure> {
-        let Diagnosis { mut report, overlays, calibrated, effects } = diagnosis;
+        let Diagnosis { mut report, overlays, calibrated, effects, .. } = diagnosis;
         let save = |name: &str, text: &str| {
             let path = out.join(name);
             std::fs::write(&path, text)

@@ -32,8 +32,20 @@ fn found(report: &Report) -> String {
             format::number(100.0 * report.unexplained.probability, 2)
         );
     }
-    let causes: Vec<String> = leader.effects.iter().map(cause).collect();
-    let this = if causes.len() > 1 { "these" } else { "this" };
+    let mut places: Vec<&str> = Vec::new();
+    for effect in &leader.effects {
+        if !places.contains(&effect.place.as_str()) {
+            places.push(&effect.place);
+        }
+    }
+    let causes: Vec<String> = places
+        .iter()
+        .map(|place| {
+            let here: Vec<String> = leader.effects.iter().filter(|e| e.place == *place).map(cause).collect();
+            format!("{place}, which {}", here.join(" and "))
+        })
+        .collect();
+    let this = if leader.effects.len() > 1 { "these" } else { "this" };
     let closed = report.how_far.closed_by_effect.value;
     let closes = if closed > 0.0 {
         format!("adding {this} closes {} % of it on held-out time", format::number(100.0 * closed, 3))
@@ -65,7 +77,7 @@ const MUCH: f64 = 0.1;
 /// Error of predictions, over the noise floor, below which nothing is left to explain.
 const NEAR: f64 = 1.2;
 
-/// `input:goal, which acts late (delay, delay 0.041 ± 0.001 s)`.
+/// `acts late (delay, delay 0.041 ± 0.001 s)`.
 fn cause(effect: &FittedEffect) -> String {
     let what = Effect::from_name(&effect.name).map_or("departs from the model", Effect::sentence);
     let parameters: Vec<String> = effect
@@ -73,5 +85,5 @@ fn cause(effect: &FittedEffect) -> String {
         .iter()
         .map(|(name, value)| format!("{name} {}", format::uncertain(value)))
         .collect();
-    format!("{}, which {what} ({}, {})", effect.place, effect.name, parameters.join(", "))
+    format!("{what} ({}, {})", effect.name, parameters.join(", "))
 }

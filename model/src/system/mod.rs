@@ -47,6 +47,7 @@ mod correct;
 mod equations;
 mod error;
 mod expression;
+mod independent;
 mod lexer;
 mod order;
 mod own;
