@@ -20,7 +20,6 @@ use crate::innovation::walk;
 use crate::library;
 use crate::maps;
 pub use crate::options::Options;
-use crate::options::OptionsError;
 use crate::pieces;
 use crate::posterior::{self, Answer};
 use crate::quantify::{self, Row};

@@ -35,6 +35,8 @@ pub struct Start {
     pub first: usize,
     /// Index after the last event of the stretch.
     pub end: usize,
+    /// Stamp of the first reading that is looked at (s), whatever happens earlier.
+    pub from: f64,
     /// Stamp of the first reading that counts (s); earlier ones only tell the state.
     pub counts_from: f64,
     /// End of the stamps that belong to the stretch (s): later readings that happen in between are not looked at.
@@ -198,7 +200,7 @@ fn walk_group(run: &mut dyn Run, group: &[Start], scale: &[f64], noise: &Noise, 
     tape.ticks.reserve(longest);
     let mut found: Vec<Found> = group.iter().map(|s| Found::with_room(s.end - s.first, n, p)).collect();
     let (mut row, mut gain, mut scratch) = (Gradient::default(), vec![zero; n], vec![zero; 2 * n * n]);
-    let stretch = |s: &Start| Stretch { first: s.first, end: s.end, from: f64::NEG_INFINITY, to: s.to };
+    let stretch = |s: &Start| Stretch { first: s.first, end: s.end, from: s.from, to: s.to };
     let mut lanes = Lockstep::new(group.iter().map(stretch));
     while let Some(tick) = lanes.next(run) {
         if let lockstep::Tick::Read(reads) = tick {

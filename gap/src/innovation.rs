@@ -84,7 +84,7 @@ fn stretches(simulator: &dyn Simulator, run: &dyn Run, segments: &[Segment], out
             let place = if pieces == 1 { Some((first, end)) } else { locate(run.events(), late, from, to) };
             let Some((first, end)) = place else { continue };
             let (state, std) = simulator.start(&segment.state, &segment.std, run.events()[first].time);
-            starts.push(Start { first, end, counts_from, to, state, std });
+            starts.push(Start { first, end, from, counts_from, to, state, std });
         }
     }
     starts

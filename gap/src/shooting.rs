@@ -4,6 +4,7 @@
 //! the shared parameters; nothing drifts over more than a window, so closed loops and unstable plants are no trouble
 //! (multiple shooting without continuity: Bock 1983; the states are eliminated window by window).
 
+mod flow;
 mod sums;
 mod triangular;
 
@@ -28,6 +29,9 @@ pub struct Window {
     pub std: Vec<f64>,
     /// Where the initial state was guessed to be.
     pub guess: Vec<f64>,
+    /// ln of how far volumes of states grow from the first reading to `from`; below zero for a late reading of a stable
+    /// plant.
+    flow: f64,
     /// How the best initial state differs from `state`, by the last evaluation.
     newton: Vec<f64>,
     /// How the best initial state moves with θ, states × parameters, by the last evaluation.
@@ -38,7 +42,16 @@ impl Window {
     /// A window whose state is where it was guessed to be.
     #[must_use]
     pub fn new(from: f64, to: f64, guess: Vec<f64>, std: Vec<f64>) -> Self {
-        Window { from, to, state: guess.clone(), std, guess, newton: Vec::new(), response: Vec::new() }
+        Window {
+            from,
+            to,
+            state: guess.clone(),
+            std,
+            guess,
+            flow: 0.0,
+            newton: Vec::new(),
+            response: Vec::new(),
+        }
     }
 
     /// Moves the state to where it is best when θ moves by `step`, to first order.
@@ -82,7 +95,7 @@ pub struct Residuals {
     pub counts: Vec<usize>,
     /// Half the gradient of the cost by θ, window by window.
     pub scores: Vec<Vec<f64>>,
-    /// ln det of the initial states' curvature in units of their priors, summed over windows: what integrating the
+    /// ln det of the curvature of the states at the windows' beginnings in units of their priors, summed over windows: what integrating the
     /// states out costs, more for a hypothesis with more states or fewer readings to tell them.
     pub volume: f64,
 }
@@ -141,6 +154,12 @@ pub fn shoot(
         let mut other = Normal::new(n, 0, outputs);
         for group in found.chunks_mut(LANES) {
             settle(&mut *plain, group, variance, &mut normal, &mut other);
+        }
+    }
+    if n > 0 && late > 0.0 {
+        let mut plain = simulator.run_at(theta);
+        for group in found.chunks_mut(LANES) {
+            flow::set(&mut *plain, group, n);
         }
     }
     let mut normal = Normal::new(n, p, outputs);
@@ -297,7 +316,7 @@ impl Normal {
     fn add(&self, lane: usize, window: &mut Window, total: &mut Local, residuals: &mut Residuals) {
         let (score, volume) = self.eliminate(lane, window, total);
         residuals.scores.push(score);
-        residuals.volume += volume;
+        residuals.volume += volume - 2.0 * window.flow;
     }
 
     /// Squared residuals and the weak prior of the initial state, which is `window.state`.

@@ -13,7 +13,7 @@ use parallax_gap::innovation::walk;
 use parallax_gap::library;
 use parallax_gap::quantify::{Block, Row, closed};
 use parallax_gap::setup::Setup;
-use parallax_gap::shooting::{lateness, locate};
+use parallax_gap::shooting::{States, Window, lateness, locate, shoot};
 use parallax_gap::signature::orthonormal;
 use parallax_gap::simulator::Simulator;
 use parallax_model::effect::{Effect, Place, PlaceKind};
@@ -38,7 +38,7 @@ name = "mass"
 u = { signal = "u" }
 [state]
 q = { derivative = "v", initial = "near" }
-v = { derivative = "u - 4*q - 0.5*v" }
+v = { derivative = "u - 4*q - 6*v" }
 [outputs]
 near = { value = "q", unit = "m" }
 far = { value = "q", unit = "m" }
@@ -56,7 +56,7 @@ axis = { position = "q", velocity = "v", inertia = "1", drive = "u" }
             let jitter = 1e-3 * (7.0 * f64::from(k)).sin();
             samples.extend([0, 1].map(|output| Sample { stamp: t, output, value: q + jitter }));
         }
-        v += 1e-3 * (push(k / 300) - 4.0 * q - 0.5 * v);
+        v += 1e-3 * (push(k / 300) - 4.0 * q - 6.0 * v);
         q += 1e-3 * v;
     }
     let experiment = Experiment {
@@ -64,6 +64,33 @@ axis = { position = "q", velocity = "v", inertia = "1", drive = "u" }
         input_units: vec![String::new()],
         samples,
         wraps: vec![None, None],
+        ..Experiment::default()
+    };
+    Setup::new(equations, experiment, None)
+}
+
+/// One sensor of a level that decays.
+fn decay() -> Setup {
+    let text = r#"
+format = 1
+name = "tank"
+[inputs]
+u = { signal = "u" }
+[state]
+x = { derivative = "u - 6*x" }
+[outputs]
+level = { value = "x", unit = "m" }
+"#;
+    let equations = System::parse(text, "tank.toml").unwrap().equations().unwrap();
+    let sample = |k: u32| {
+        let stamp = 0.01 * f64::from(k);
+        Sample { stamp, output: 0, value: (3.0 * stamp).sin() }
+    };
+    let experiment = Experiment {
+        inputs: vec![Held { times: vec![0.0], values: vec![0.0] }],
+        input_units: vec![String::new()],
+        samples: (0..1200).map(sample).collect(),
+        wraps: vec![None],
         ..Experiment::default()
     };
     Setup::new(equations, experiment, None)
@@ -88,6 +115,36 @@ proptest! {
         prop_assert_eq!(key(&plain), key(&moved));
         let once: std::collections::BTreeSet<_> = key(&plain).into_iter().collect();
         prop_assert_eq!(once.len(), plain.readings());
+    }
+
+    /// Nor may it know more where a stretch or a window begins: what happened before is no part of it.
+    #[test]
+    fn a_late_sensor_knows_no_more_where_a_stretch_begins(delay in 0.0..0.15_f64) {
+        let setup = two_sensors();
+        let place = Place::new(PlaceKind::Output, "far");
+        let late = library::hypothesis(&setup, &[EffectAt { effect: Effect::Delay, place }]);
+        let simulator = library::simulator(&setup, &late, Vec::new());
+        let known = |delay: f64| -> f64 {
+            let pass = walk(&simulator, &setup.train, &setup.noise, &setup.noise.initial, &[delay]);
+            pass.variance.iter().map(|v| v.ln()).sum()
+        };
+        let stretches = setup.train.len() as f64;
+        prop_assert!((known(0.0) - known(delay)).abs() < 3.0 * stretches, "{} {}", known(0.0), known(delay));
+    }
+
+    /// What a window tells of its state is told of the state at the window's beginning, whenever its readings were taken.
+    #[test]
+    fn a_late_sensor_moves_no_window(delay in 0.0..0.1_f64) {
+        let setup = decay();
+        let place = Place::new(PlaceKind::Output, "level");
+        let late = library::hypothesis(&setup, &[EffectAt { effect: Effect::Delay, place }]);
+        let simulator = library::simulator(&setup, &late, Vec::new());
+        let window = Window::new(2.0, 2.5, vec![1.0], vec![1e6]);
+        let (_, residuals, _) = shoot(&simulator, &[delay], &mut [window], &[1.0], States::Settled);
+        // Readings every 10 ms of what decays with a rate of 6/s.
+        let told: f64 = (0..50).map(|k| (-2.0 * 6.0 * (0.01 * f64::from(k) - delay)).exp()).sum();
+        let volume = (told * 1e12).ln();
+        prop_assert!((residuals.volume - volume).abs() < 1e-3, "{} {volume}", residuals.volume);
     }
 }
 
