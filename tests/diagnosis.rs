@@ -45,17 +45,41 @@ fn the_demo_finds_what_its_world_hides() {
     assert!(!graph.contains("hidden") && !graph.contains("lag"), "{graph}");
 }
 
-#[test]
-fn the_friction_of_a_real_axis_is_named() {
-    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/emps");
+/// A folder of real recordings, which are not part of the repository.
+fn data(name: &str) -> Option<std::path::PathBuf> {
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data").join(name);
     if !data.exists() {
         println!("not run: {} does not exist", data.display());
-        return;
     }
+    data.exists().then_some(data)
+}
+
+/// Diagnoses recordings in `data` with the system there, or with the one at `system`.
+fn diagnosed(data: &Path, system: Option<&Path>, recordings: &[&str], options: &[&str]) -> Value {
     let folder = tempfile::tempdir().unwrap();
-    let path = |name: &str| data.join(name).to_str().unwrap().to_owned();
-    let (system, log) = (path("system.toml"), path("estimation"));
-    let report = json(folder.path(), &["diagnose", "--system", &system, &log, "--out", "emps", "--json"]);
+    let text = |path: &Path| path.to_str().unwrap().to_owned();
+    let system = text(system.unwrap_or(&data.join("system.toml")));
+    let recordings: Vec<String> = recordings.iter().map(|name| text(&data.join(name))).collect();
+    let mut arguments = vec!["diagnose", "--system", &system, "--out", "out", "--json"];
+    arguments.extend(recordings.iter().map(String::as_str));
+    arguments.extend(options);
+    json(folder.path(), &arguments)
+}
+
+/// The effects of the leading answer, as `name@place`.
+fn leading(report: &Value) -> Vec<String> {
+    let effects = report["which"][0]["effects"].as_array().unwrap().iter();
+    effects.map(|e| format!("{}@{}", e["name"].as_str().unwrap(), e["place"].as_str().unwrap())).collect()
+}
+
+fn closed_by_effect(report: &Value) -> f64 {
+    report["how_far"]["closed_by_effect"]["value"].as_f64().unwrap()
+}
+
+#[test]
+fn the_friction_of_a_real_axis_is_named() {
+    let Some(data) = data("emps") else { return };
+    let report = diagnosed(&data, None, &["estimation"], &[]);
 
     assert_eq!(report["gap"]["detected"], true);
     let first = &report["which"][0]["effects"][0];
@@ -78,5 +102,61 @@ fn the_friction_of_a_real_axis_is_named() {
     let force =
         value("force").unwrap_or_else(|| 0.5 * (value("forward").unwrap() + value("backward").unwrap()));
     close(&force.into(), 20.394);
-    assert!(report["how_far"]["closed_by_effect"]["value"].as_f64().unwrap() > 0.9, "{}", report["how_far"]);
+    assert!(closed_by_effect(&report) > 0.9, "{}", report["how_far"]);
+}
+
+/// The torque reading follows the command one period late, and the motion tells that it is the reading.
+#[test]
+fn a_late_torque_reading_is_told_from_a_late_command() {
+    let Some(data) = data("torque-pendulum") else { return };
+    let report = diagnosed(&data, None, &["ilqr"], &[]);
+    assert_eq!(leading(&report), ["delay@output:torque"], "{}", report["summary"]);
+    let delay = &report["which"][0]["effects"][0]["parameters"]["delay"]["value"];
+    assert!((delay.as_f64().unwrap() - 0.020).abs() < 0.001, "{delay}");
+
+    // In five milliseconds the motion cannot tell the two apart.
+    let report = diagnosed(&data, None, &["energy_shaping"], &[]);
+    let class = report["which"][0]["class"].as_array().unwrap();
+    for member in ["delay@input:tau", "delay@output:torque"] {
+        assert!(class.iter().any(|name| name == member), "{class:?}");
+    }
+}
+
+#[test]
+fn the_friction_of_a_real_gearbox_grows_with_its_load() {
+    let Some(data) = data("servo-xl330") else { return };
+    let logs = ["sin_sin_kp100_00", "sin_time_square_kp400_07", "lift_and_drop_kp800_09", "sin_sin_kp400_04"];
+    let report = diagnosed(&data, None, &logs, &[]);
+    assert_eq!(leading(&report), ["load_friction@joint:shaft"], "{}", report["summary"]);
+}
+
+#[test]
+fn a_servo_that_is_stuck_in_friction_has_play() {
+    let Some(data) = data("arm-so101") else { return };
+    let elbow = ["--only", "input:elbow", "--only", "output:position_elbow"];
+    let report = diagnosed(&data, None, &["backlash_detection"], &elbow);
+    assert_eq!(leading(&report), ["backlash@input:elbow"], "{}", report["summary"]);
+    assert!(closed_by_effect(&report) > 0.9, "{}", report["how_far"]);
+    // Only the piece of the machine that was asked for is looked at.
+    let places = report["where"].as_array().unwrap();
+    assert!(places.iter().all(|p| p["place"].as_str().unwrap().ends_with("elbow")), "{places:?}");
+}
+
+#[test]
+fn a_servos_answer_to_its_goal_is_sluggish() {
+    let Some(data) = data("arm-so101") else { return };
+    let rotation = ["--only", "input:rotation", "--only", "output:position_rotation"];
+    let report = diagnosed(&data, None, &["prbs_excitation"], &rotation);
+    assert!(leading(&report).contains(&"lag@input:rotation".to_owned()), "{}", report["summary"]);
+    assert!(closed_by_effect(&report) > 0.9, "{}", report["how_far"]);
+}
+
+#[test]
+fn the_battery_of_a_quadrotor_sags() {
+    let Some(data) = data("quadrotor-crazyflie") else { return };
+    let system = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/systems/crazyflie-hover.toml");
+    let flights = ["b2_circle_slow_rep1", "b3_figure8_slow_rep1"];
+    let report = diagnosed(&data, Some(&system), &flights, &["--from", "6", "--to", "21"]);
+    assert_eq!(leading(&report), ["supply_sag@input:u"], "{}", report["summary"]);
+    assert!(closed_by_effect(&report) > 0.5, "{}", report["how_far"]);
 }

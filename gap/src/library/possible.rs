@@ -2,7 +2,8 @@
 //!
 //! A limit that holds a quantity still removes what a model predicts wrongly, and wins over the true cause wherever the
 //! model is poor: a constant is a good prediction of what hardly moves. But a limit is a limit only if something is left
-//! between its ends, and a sensor that is clipped never reads beyond them.
+//! between its ends, and a sensor that is clipped never reads beyond them. A lag that is over within a period says nothing
+//! but which of two events of one stamp came first.
 
 use parallax_model::effect::{Effect, PlaceKind};
 
@@ -10,7 +11,11 @@ use super::place_index;
 use crate::hypothesis::Slot;
 use crate::search::Fit;
 use crate::setup::Setup;
-use crate::statistics::standard_deviation;
+use crate::statistics::{median, standard_deviation};
+
+/// Share of a command's period within which a lag must not be over where a reading shows the command at once: that the
+/// reading comes first within the period would pass for it, and a log does not tell.
+const WITHIN: f64 = 0.25;
 
 /// Share of a command's deviation that a saturation must leave.
 const LEFT: f64 = 0.25;
@@ -42,6 +47,15 @@ pub fn is_possible(setup: &Setup, fit: &Fit) -> bool {
         };
         let (low, high) = (value("low").unwrap_or(f64::NEG_INFINITY), value("high").unwrap_or(f64::INFINITY));
         match (at.effect, at.place.kind) {
+            (Effect::Lag | Effect::LagSecondOrder, PlaceKind::Input) => {
+                let outputs = 0..setup.equations.system().outputs.len();
+                let shown = outputs.into_iter().any(|o| setup.equations.system().shows_command(o));
+                let times = &setup.experiment.inputs[index].times;
+                let period = median(&mut times.windows(2).map(|w| w[1] - w[0]).collect::<Vec<_>>());
+                // The mean lag: the time constant, or 2ζ of them.
+                let late = value("time_constant").unwrap_or(0.0) * value("damping").map_or(1.0, |z| 2.0 * z);
+                !shown || late >= WITHIN * period
+            }
             (Effect::Saturation | Effect::SaturationSoft, PlaceKind::Input) => {
                 let sent = &setup.experiment.inputs[index].values;
                 let left: Vec<f64> = sent.iter().map(|u| u.max(low).min(high)).collect();
