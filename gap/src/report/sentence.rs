@@ -41,8 +41,11 @@ fn found(report: &Report) -> String {
     let causes: Vec<String> = places
         .iter()
         .map(|place| {
-            let here: Vec<String> = leader.effects.iter().filter(|e| e.place == *place).map(cause).collect();
-            format!("{place}, which {}", here.join(" and "))
+            let here = leader.effects.iter().filter(|e| e.place == *place);
+            if places.len() > FEW {
+                return format!("{place} ({})", here.map(|e| e.name.as_str()).collect::<Vec<_>>().join(", "));
+            }
+            format!("{place}, which {}", here.map(cause).collect::<Vec<_>>().join(" and "))
         })
         .collect();
     let this = if leader.effects.len() > 1 { "these" } else { "this" };
@@ -69,9 +72,12 @@ fn found(report: &Report) -> String {
     } else {
         ""
     };
-    format!("The gap lies at {}{unsure}; {closes}{rest}{others}.", causes.join(", and at "))
+    let causes = causes.join(if places.len() > FEW { ", " } else { ", and at " });
+    format!("The gap lies at {causes}{unsure}; {closes}{rest}{others}.")
 }
 
+/// Places of which the sentence says what happens there; of more it only names the effects.
+const FEW: usize = 3;
 /// Share of the gap beyond the best answer from which the sentence says so.
 const MUCH: f64 = 0.1;
 /// Error of predictions, over the noise floor, below which nothing is left to explain.
