@@ -29,8 +29,8 @@ pub struct Window {
     pub std: Vec<f64>,
     /// Where the initial state was guessed to be.
     pub guess: Vec<f64>,
-    /// ln of how far volumes of states grow from the first reading to `from`; below zero for a late reading of a stable
-    /// plant.
+    /// ln of how far volumes of states grow from the first reading to where most sensors begin; below zero for one late
+    /// sensor of a stable plant.
     flow: f64,
     /// How the best initial state differs from `state`, by the last evaluation.
     newton: Vec<f64>,
@@ -95,7 +95,7 @@ pub struct Residuals {
     pub counts: Vec<usize>,
     /// Half the gradient of the cost by θ, window by window.
     pub scores: Vec<Vec<f64>>,
-    /// ln det of the curvature of the states at the windows' beginnings in units of their priors, summed over windows: what integrating the
+    /// ln det of the curvature of the states where most sensors begin in units of their priors, summed over windows: what integrating the
     /// states out costs, more for a hypothesis with more states or fewer readings to tell them.
     pub volume: f64,
 }
@@ -159,7 +159,7 @@ pub fn shoot(
     if n > 0 && late > 0.0 {
         let mut plain = simulator.run_at(theta);
         for group in found.chunks_mut(LANES) {
-            flow::set(&mut *plain, group, n);
+            flow::set(&mut *plain, group, n, outputs);
         }
     }
     let mut normal = Normal::new(n, p, outputs);

@@ -20,14 +20,11 @@ const WITHIN: f64 = 0.25;
 /// Share of a command's deviation that a saturation must leave.
 const LEFT: f64 = 0.25;
 
-/// Share of time that a clipped quantity must be clear of its limits.
+/// Share of time that a clipped state must be clear of its limits.
 const INSIDE: f64 = 0.1;
 
-/// How far from a limit, in noise units, a reading is clear of it.
-const CLEAR: f64 = 2.0;
-
-/// The same of a state, as a share of its range.
-const CLEAR_STATE: f64 = 0.01;
+/// How far from a limit a state is clear of it, as a share of its range.
+const CLEAR: f64 = 0.01;
 
 /// Share of readings that may lie beyond a clipped sensor's limits: outliers.
 const BEYOND: f64 = 0.01;
@@ -64,18 +61,16 @@ pub fn is_possible(setup: &Setup, fit: &Fit) -> bool {
             (Effect::Saturation | Effect::SaturationSoft, PlaceKind::State) => {
                 let pass = &fit.innovation.pass;
                 let went = pass.state.iter().skip(index).step_by(pass.states().max(1));
-                let clear = CLEAR_STATE * setup.state_range[index].width();
+                let clear = CLEAR * setup.state_range[index].width();
                 let inside = went.clone().filter(|x| **x > low + clear && **x < high - clear).count();
                 inside as f64 >= INSIDE * went.count() as f64
             }
             (Effect::SensorSaturation, _) => {
                 let noise = setup.output_noise[index];
                 let (_, readings) = setup.experiment.output(index);
-                let (far, clear) = (FAR * noise, CLEAR * noise);
-                let count = readings.len() as f64;
+                let far = FAR * noise;
                 let beyond = readings.iter().filter(|y| **y < low - far || **y > high + far).count();
-                let inside = readings.iter().filter(|y| **y > low + clear && **y < high - clear).count();
-                beyond as f64 <= BEYOND * count && inside as f64 >= INSIDE * count
+                beyond as f64 <= BEYOND * readings.len() as f64
             }
             _ => true,
         }
