@@ -44,6 +44,8 @@ pub struct Diagnosis {
     pub overlays: Vec<Overlay>,
     /// Calibrated and freed parameters of the nominal system, by name.
     pub calibrated: Vec<(String, f64)>,
+    /// The same without any effect: what the nominal system was refitted to.
+    pub refitted: Vec<(String, f64)>,
     /// The effects of the leading answer.
     pub effects: Vec<EffectEntry>,
     /// What the errors on held-out time are made of.
@@ -427,6 +429,7 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
             .collect(),
         confusable: confusable(setup, &null, &answers, options.seed),
         how_far,
+        closed_loop: None,
         corrected_system: None,
         explanations,
         interrupted: setup.stop.interrupted(|label| answers.answers.iter().any(|a| a.class.contains(label))),
@@ -440,8 +443,8 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
     }));
     let effects = answers::corrected_effects(setup, &found);
     let rows = Rows { nominal, refitted, with_effect, black_box };
-    let mut diagnosis =
-        Diagnosis { report, overlays, calibrated: calibration::values(setup, shown), effects, rows };
+    let (calibrated, refitted) = (calibration::values(setup, shown), calibration::values(setup, &null));
+    let mut diagnosis = Diagnosis { report, overlays, calibrated, refitted, effects, rows };
     diagnosis.report.summary = crate::report::sentence::summary(&diagnosis.report);
     diagnosis
 }

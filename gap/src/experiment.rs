@@ -71,6 +71,12 @@ impl Held {
         Held { values: times.iter().map(at).collect(), times }
     }
 
+    /// Adds a value that holds from `time` (s) on, which is not before the last stamp.
+    pub fn push(&mut self, time: f64, value: f64) {
+        self.times.push(time);
+        self.values.push(value);
+    }
+
     /// The value at `time`: the last one stamped at or before it, the first one before that.
     #[must_use]
     pub fn at(&self, time: f64) -> f64 {

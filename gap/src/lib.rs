@@ -12,6 +12,7 @@
 //!   effects cannot be told apart, [`unknown`] stands for causes without a name, and [`quantify`] says how far it goes.
 //! - Beside the plant: [`timing`] says what the stamps of a recording prove, [`nodes`] which nodes explain their output,
 //!   and [`readings`] what shows only in how readings scatter, repeat and are spaced.
+//! - Whether it matters: [`closed_loop`] says what a task costs under its controller, as recorded and as simulated.
 //!
 //! A cart that loses more force at speed than its simulator believes:
 //!
@@ -70,6 +71,7 @@
 mod answers;
 pub mod bind;
 mod calibration;
+pub mod closed_loop;
 pub mod combine;
 pub mod commands;
 pub mod detect;

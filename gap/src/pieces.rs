@@ -135,6 +135,7 @@ fn together(found: Vec<Diagnosis>, seed: u64) -> Diagnosis {
         not_testable: all(&reports, |r| &r.not_testable),
         confusable: all(&reports, |r| &r.confusable),
         how_far,
+        closed_loop: None,
         corrected_system: None,
         explanations: all(&reports, |r| &r.explanations),
         interrupted: (!not_tried.is_empty()).then_some(Interrupted { not_tried }),
@@ -149,12 +150,14 @@ fn together(found: Vec<Diagnosis>, seed: u64) -> Diagnosis {
         report,
         overlays: Vec::new(),
         calibrated: Vec::new(),
+        refitted: Vec::new(),
         effects: Vec::new(),
         rows: Rows::default(),
     };
     for piece in found {
         whole.overlays.extend(piece.overlays);
         whole.calibrated.extend(piece.calibrated);
+        whole.refitted.extend(piece.refitted);
         whole.effects.extend(piece.effects);
     }
     whole.rows = rows;

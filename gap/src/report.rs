@@ -2,6 +2,7 @@
 
 mod answer;
 mod bars;
+mod closed_loop;
 mod explained;
 mod format;
 pub mod html;
@@ -15,6 +16,7 @@ pub mod text;
 
 use serde::{Deserialize, Serialize};
 
+use crate::closed_loop::ClosedLoop;
 use crate::excitation::Promise;
 use crate::explain::Explanation;
 use crate::maps::Map;
@@ -64,6 +66,9 @@ pub struct Report {
     pub confusable: Vec<Confusable>,
     /// Errors of prediction on held-out time.
     pub how_far: HowFar,
+    /// What a task costs in closed loop, as recorded and as simulated; `null` where no task was given.
+    #[serde(default)]
+    pub closed_loop: Option<ClosedLoop>,
     /// Path of the corrected system, if one was written.
     pub corrected_system: Option<String>,
     /// Why effects that the user asked about are not the answer.

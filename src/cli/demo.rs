@@ -88,8 +88,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     ));
 
     say("3. Diagnosing from the recording alone.".into());
-    let found = Loaded::read(std::slice::from_ref(&path), None, (None, None))?
-        .diagnose(&Options::default(), &arguments.out)?;
+    let found = Loaded::read(std::slice::from_ref(&path), None, (None, None))?.diagnose(
+        &Options::default(),
+        None,
+        &arguments.out,
+    )?;
     if !arguments.json {
         output::line("");
         diagnose::print(&found);

@@ -6,13 +6,14 @@ use std::sync::atomic::Ordering;
 use anyhow::{Context, anyhow};
 use clap::Args;
 use parallax_gap::bind::bind_all;
+use parallax_gap::closed_loop;
 use parallax_gap::diagnosis::{Diagnosis, DiagnosisError, Options, diagnose_all};
 use parallax_gap::experiment::Experiment;
 use parallax_gap::nodes;
 use parallax_gap::options::{Pattern, Prior};
 use parallax_gap::report::{MadeFrom, Report, html, svg, text};
 use parallax_gap::timing;
-use parallax_model::system::{Equations, System};
+use parallax_model::system::{Equations, System, Task};
 use parallax_runtime::import::{self, read_system_text};
 use parallax_runtime::launch::signals::Signals;
 use parallax_runtime::recording::Recording;
@@ -56,6 +57,10 @@ pub(crate) struct Arguments {
     /// Say why this effect is not the answer: its evidence, its best fit, what it explains worse. Repeatable.
     #[arg(long, value_name = "EFFECT[@PLACE]")]
     explain: Vec<Pattern>,
+    /// What the machine is there to do, and the controller if no recorded graph holds it: a task.toml. Its score in closed
+    /// loop is reported as recorded, and as simulated with and without the effect.
+    #[arg(long, value_name = "FILE")]
+    task: Option<PathBuf>,
     /// Print report.json instead of the short answer.
     #[arg(long)]
     json: bool,
@@ -67,6 +72,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     }
     let part = (arguments.from, arguments.to);
     let loaded = Loaded::read(&arguments.recordings, arguments.system.as_deref(), part)?;
+    let task = arguments.task.as_deref().map(read_task).transpose()?;
     let signals = Signals::watch().runtime()?;
     let options = Options {
         horizon: arguments.horizon,
@@ -77,7 +83,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         explain: arguments.explain.clone(),
         stop: Some(signals.flag()),
     };
-    let report = loaded.diagnose(&options, &arguments.out)?;
+    let report = loaded.diagnose(&options, task.as_ref(), &arguments.out)?;
     if arguments.json {
         output::json(&report)?;
     } else {
@@ -180,8 +186,20 @@ impl Loaded {
         bind_all(&self.system, &self.logs).input()
     }
 
-    /// Diagnoses, and leaves report.json, report.html, report.svg and system.corrected.toml in `out`.
-    pub(crate) fn diagnose(&self, options: &Options, out: &Path) -> Result<Report, Failure> {
+    /// Diagnoses, scores the task in closed loop where there is one, and leaves report.json, report.html, report.svg and
+    /// system.corrected.toml in `out`.
+    pub(crate) fn diagnose(
+        &self,
+        options: &Options,
+        task: Option<&Task>,
+        out: &Path,
+    ) -> Result<Report, Failure> {
+        let registry = parallax_nodes::registry();
+        let graph = self.graph.as_ref().map(|recording| (recording, &registry));
+        let closed_loop = task
+            .map(|task| closed_loop::prepare(task, &self.system, &self.logs, graph, options.horizon))
+            .transpose()
+            .input()?;
         std::fs::create_dir_all(out)
             .with_context(|| format!("the folder {} cannot be made", out.display()))
             .map_err(Failure::input)?;
@@ -198,6 +216,13 @@ impl Loaded {
             DiagnosisError::Stopped => Failure::interrupted(error),
             error => Failure::input(error),
         })?;
+        if let Some(prepared) = closed_loop.filter(|_| diagnosis.report.interrupted.is_none()) {
+            bar.set_message("closing the loop");
+            match prepared.scores(&diagnosis, options.seed) {
+                Ok(scores) => diagnosis.report.closed_loop = Some(scores),
+                Err(error) => eprintln!("warning: the closed loop cannot be scored: {error}"),
+            }
+        }
         bar.finish_and_clear();
         self.look_at_the_graph(&mut diagnosis.report);
         diagnosis.report.made_from = Some(MadeFrom {
@@ -248,6 +273,13 @@ impl Loaded {
 
 /// The nominal file with what was found.
 const CORRECTED: &str = "system.corrected.toml";
+
+fn read_task(path: &Path) -> Result<Task, Failure> {
+    let text = std::fs::read_to_string(path)
+        .with_context(|| format!("the task file {} cannot be read", path.display()))
+        .map_err(Failure::input)?;
+    Task::parse(&text, &path.display().to_string()).input()
+}
 
 /// A system.toml beside the folder is probably meant.
 fn nearby(path: &Path) -> String {

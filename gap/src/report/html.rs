@@ -4,7 +4,8 @@ use super::answer::{Answer, answers};
 use super::draw::{Pen, escape, typeset};
 use super::overlay;
 use super::readings::Readings;
-use super::{Confusable, Overlay, Report, bars, explained, format, maps, recorded};
+use super::{Confusable, Overlay, Report, bars, closed_loop, explained, format, maps, recorded};
+use crate::closed_loop::Controlled;
 use crate::plot::page;
 
 /// Answers less probable than this are listed by name only.
@@ -30,6 +31,7 @@ pub fn page(report: &Report, overlays: &[Overlay]) -> String {
         format!("<div class=\"pair\">{}{}</div>", which(&answers), where_(report)),
         explained_section(report),
         how_far(report),
+        closed_loop_section(report),
         recorded_section(report),
         maps_section(report),
         calibration(report),
@@ -214,6 +216,49 @@ fn where_(report: &Report) -> String {
         content.push_str(&format!("<p class=\"note\">Also considered: {}.</p>\n", rest.join(", ")));
     }
     section("Where", "Share: how much of the gap the best effect there explains.", &content)
+}
+
+/// What a task costs in closed loop, where one was given.
+fn closed_loop_section(report: &Report) -> String {
+    let Some(scores) = &report.closed_loop else { return String::new() };
+    let unit = if scores.unit.is_empty() { String::new() } else { format!(", {}", set(&scores.unit)) };
+    let row = |(name, score, remark): &(&str, String, String)| {
+        format!(
+            "<tr><th scope=\"row\">{}</th><td class=\"number\">{}</td><td class=\"mark\">{}</td></tr>\n",
+            escape(name),
+            set(score),
+            set(remark)
+        )
+    };
+    let rows: String = closed_loop::rows(scores).iter().map(row).collect();
+    let table = format!(
+        "<div class=\"scroll\"><table>\n<thead><tr><th scope=\"col\">system</th><th scope=\"col\">score (95 % \
+         interval){unit}</th><th scope=\"col\" class=\"mark\"></th></tr></thead>\n<tbody>{rows}</tbody></table></div>\n"
+    );
+    let readings = scores.episode.iter().map(Readings::new).filter(|readings| !readings.stamp.is_empty());
+    let figures: String = readings
+        .map(|readings| {
+            format!(
+                "<figure>\n{}{}<figcaption><p class=\"readout\"></p><p><b>{}</b> in the first episode: measured, and \
+                 simulated once in closed loop without the effect (before) and with it (after).</p></figcaption>\n</figure>\n",
+                overlay::plot(&readings, false, scores.horizon_s),
+                overlay::plot(&readings, true, scores.horizon_s),
+                escape(readings.output)
+            )
+        })
+        .collect();
+    let by = match scores.controller {
+        Controlled::Policy => "The controller of the task file",
+        Controlled::Graph => "The recorded graph",
+    };
+    let note = format!(
+        "{}: {}. {by} runs around each system, from the recorded initial states; intervals are over initial states, noise \
+         and delays.",
+        escape(&scores.task),
+        set(&closed_loop::made(scores))
+    );
+    let content = format!("<p>{}</p>\n{table}{figures}", escape(&closed_loop::sentence(scores)));
+    section("In closed loop", &note, &content)
 }
 
 fn explained_section(report: &Report) -> String {

@@ -33,6 +33,7 @@ pub fn summary(report: &Report) -> String {
     }
     which(&mut lines, report);
     how_far(&mut lines, report);
+    closed_loop(&mut lines, report);
     calibration(&mut lines, report);
     let unexplained = &report.unexplained;
     let text = format!(
@@ -130,6 +131,17 @@ fn how_far(lines: &mut Lines, report: &Report) {
             .collect();
         lines.put("", 2, &format!("  of that {}", parts.join(", ")));
     }
+}
+
+fn closed_loop(lines: &mut Lines, report: &Report) {
+    let Some(scores) = &report.closed_loop else { return };
+    lines.put("closed loop", 0, &super::closed_loop::sentence(scores));
+    let rows = super::closed_loop::rows(scores);
+    let width = rows.iter().map(|(_, score, _)| score.chars().count()).max().unwrap_or(0);
+    for (name, score, remark) in rows {
+        lines.0.push(format!("{:INDENT$}  {name:9} {score:width$}  {remark}", ""));
+    }
+    lines.put("", 2, &format!("  {}", super::closed_loop::made(scores)));
 }
 
 /// Parameters that moved first; the rest as far as six lines go.

@@ -56,12 +56,14 @@ mod program;
 mod read;
 mod signals;
 mod table;
+mod task;
 
 pub use equations::{Equations, JointValues, OwnEffect, Point, Values};
 pub use error::{Excerpt, Location, Suggestion, SystemError, nearest};
 pub use expression::Expression;
 pub use own::{OwnEffect as StatedEffect, OwnParameter};
 pub use parts::{EffectEntry, Entry, Initial, Input, Joint, Let, Output, Parameter, State, Supply};
+pub use task::{BoundTask, Policy, Task};
 
 /// A parsed `system.toml`. Its expressions may use names that only a recording's constants define.
 #[derive(Clone, Debug, PartialEq)]

@@ -19,52 +19,65 @@ const SECTIONS: [&str; 10] =
 const FORMAT: i64 = 1;
 
 pub(super) fn system(text: &str, file: &str) -> Result<System, SystemError> {
+    document(text, file, "the system", |root| {
+        root.only(&SECTIONS)?;
+        let system = described(root, &["derivative"])?;
+        if system.outputs.is_empty() {
+            let remedy = "name at least one quantity that a sensor measures, such as \
+                          `[outputs]` and below it `position = { value = \"q\", unit = \"rad\" }`";
+            return Err(SystemError::MissingField {
+                at: root.field("outputs").map_or(root.at.clone(), |field| field.at),
+                field: "outputs".into(),
+                within: "the system".into(),
+                remedy: remedy.into(),
+            });
+        }
+        Ok(system)
+    })
+}
+
+/// Reads a file of this format, which is `what`, by its tables.
+pub(super) fn document<T>(
+    text: &str,
+    file: &str,
+    what: &str,
+    read: impl FnOnce(&Table<'_>) -> Result<T, SystemError>,
+) -> Result<T, SystemError> {
     let source = Source { text, file };
     let document = Document::parse(text).map_err(|error| SystemError::Toml {
         at: source.at(error.span().map(|span| span.start)),
         message: error.message().into(),
     })?;
-    let root = Table {
-        source: &source,
-        entries: document.as_table(),
-        what: "the system".into(),
-        at: source.at(None),
-    };
+    let root =
+        Table { source: &source, entries: document.as_table(), what: what.into(), at: source.at(None) };
     if root.entries.is_empty() {
         return Err(SystemError::Empty { at: source.at(None) });
     }
     check_format(&root)?;
-    root.only(&SECTIONS)?;
+    read(&root)
+}
 
+/// The equations that a file's tables describe; a state's rule is under one of the keys `rules`.
+pub(super) fn described(root: &Table<'_>, rules: &[&'static str]) -> Result<System, SystemError> {
+    let file = root.source.file;
     let mut names = Names(BTreeMap::new());
-    let parameters = section(&root, "parameters", "parameter", |name, table| {
+    let parameters = section(root, "parameters", "parameter", |name, table| {
         names.take(name, "a parameter", table)?;
         parameter(name, &table.table()?)
     })?;
-    let inputs = section(&root, "inputs", "input", |name, table| {
+    let inputs = section(root, "inputs", "input", |name, table| {
         names.take(name, "an input", table)?;
         input(name, &table.table()?)
     })?;
-    let lets = section(&root, "let", "let", |name, field| {
+    let lets = section(root, "let", "let", |name, field| {
         names.take(name, "a named expression", field)?;
         Ok(Let { name: name.into(), expression: field.expression()?, line: field.at.line })
     })?;
-    let states = section(&root, "state", "state", |name, table| {
+    let states = section(root, "state", "state", |name, table| {
         names.take(name, "a state", table)?;
-        state(name, &table.table()?)
+        state(name, &table.table()?, rules)
     })?;
-    let outputs = section(&root, "outputs", "output", |name, table| output(name, &table.table()?))?;
-    if outputs.is_empty() {
-        let remedy = "name at least one quantity that a sensor measures, such as \
-                      `[outputs]` and below it `position = { value = \"q\", unit = \"rad\" }`";
-        return Err(SystemError::MissingField {
-            at: root.field("outputs").map_or(root.at, |field| field.at),
-            field: "outputs".into(),
-            within: "the system".into(),
-            remedy: remedy.into(),
-        });
-    }
-
+    let outputs = section(root, "outputs", "output", |name, table| output(name, &table.table()?))?;
     let lets = order::by_need(lets, file)?;
     let mut system = System {
         name: root.needed("name", "write `name = \"...\"` at the top")?.string()?.into(),
@@ -79,8 +92,8 @@ pub(super) fn system(text: &str, file: &str) -> Result<System, SystemError> {
         own: Vec::new(),
         unused: Vec::new(),
     };
-    system.joints = section(&root, "joints", "joint", |name, table| joint(name, &table.table()?, &system))?;
-    let own = section(&root, "effects", "effect", |name, field| {
+    system.joints = section(root, "joints", "joint", |name, table| joint(name, &table.table()?, &system))?;
+    let own = section(root, "effects", "effect", |name, field| {
         own::read(name, &field.table()?, &mut system, |name, field| names.take(name, "a parameter", field))
     })?;
     if !own.is_empty() {
@@ -91,7 +104,7 @@ pub(super) fn system(text: &str, file: &str) -> Result<System, SystemError> {
         system.lets = order::by_need(std::mem::take(&mut system.lets), file)?;
         // The order of the named expressions may be another one now.
         system.joints =
-            section(&root, "joints", "joint", |name, table| joint(name, &table.table()?, &system))?;
+            section(root, "joints", "joint", |name, table| joint(name, &table.table()?, &system))?;
     }
     if let Some(field) = root.field("effect") {
         system.effects =
@@ -211,15 +224,22 @@ fn input(name: &str, table: &Table<'_>) -> Result<Input, SystemError> {
     Ok(Input { name: name.into(), signal, others, supply, line: table.at.line })
 }
 
-fn state(name: &str, table: &Table<'_>) -> Result<State, SystemError> {
-    table.only(&["derivative", "initial"])?;
-    let derivative =
-        table.needed("derivative", "write its rate of change as `derivative = \"...\"`")?.expression()?;
+fn state(name: &str, table: &Table<'_>, rules: &[&'static str]) -> Result<State, SystemError> {
+    let known: Vec<&str> = rules.iter().copied().chain(["initial"]).collect();
+    table.only(&known)?;
+    let mut given = rules.iter().filter_map(|rule| table.field(rule));
+    let derivative = match given.next() {
+        Some(rule) => rule,
+        None => table.needed("derivative", "write its rate of change as `derivative = \"...\"`")?,
+    };
+    if let Some(second) = given.next() {
+        return Err(second.bad(&format!("the state has a `{}` already", derivative.key)));
+    }
     let initial = match table.field("initial") {
         None => Initial::Free,
         Some(field) => initial(&field)?,
     };
-    Ok(State { name: name.into(), derivative, initial, line: table.at.line })
+    Ok(State { name: name.into(), derivative: derivative.expression()?, initial, line: table.at.line })
 }
 
 fn initial(field: &Field<'_>) -> Result<Initial, SystemError> {
