@@ -218,7 +218,7 @@ impl Loaded {
         })?;
         if let Some(prepared) = closed_loop.filter(|_| diagnosis.report.interrupted.is_none()) {
             bar.set_message("closing the loop");
-            match prepared.scores(&diagnosis, options.seed) {
+            match prepared.scores((&diagnosis).into(), options.seed) {
                 Ok(scores) => diagnosis.report.closed_loop = Some(scores),
                 Err(error) => eprintln!("warning: the closed loop cannot be scored: {error}"),
             }

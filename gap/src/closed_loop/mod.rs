@@ -30,7 +30,7 @@ mod world;
 #[cfg(test)]
 mod tests;
 
-use parallax_model::system::{System, Task};
+use parallax_model::system::{EffectEntry, System, Task};
 use parallax_runtime::random::derived;
 use parallax_runtime::recording::Recording;
 use parallax_runtime::recording::log::Log;
@@ -110,6 +110,23 @@ pub struct LoopScore {
     pub lost: usize,
     /// Runs in all.
     pub of: usize,
+}
+
+/// What is put into the machine's place beside the nominal system.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Corrections<'a> {
+    /// Parameters of the nominal system, refitted without any effect.
+    pub refitted: &'a [(String, f64)],
+    /// Parameters of the corrected system.
+    pub calibrated: &'a [(String, f64)],
+    /// Effects of the corrected system; none where there is none.
+    pub effects: &'a [EffectEntry],
+}
+
+impl<'a> From<&'a Diagnosis> for Corrections<'a> {
+    fn from(found: &'a Diagnosis) -> Self {
+        Self { refitted: &found.refitted, calibrated: &found.calibrated, effects: &found.effects }
+    }
 }
 
 /// The simulated machine has left all bounds.
@@ -240,19 +257,19 @@ impl Prepared<'_> {
         each.map(|(seen, spans)| Course::new(&self.bound, self.task.policy, seen, spans.clone())).collect()
     }
 
-    /// Closes the loop around the machine as it was believed, as it was refitted, and with what the diagnosis found. The
-    /// same `seed` gives the same scores.
+    /// Closes the loop around the machine as it was believed, as it was refitted, and with what a diagnosis found. The same
+    /// `seed` gives the same scores.
     ///
     /// # Errors
     ///
     /// [`ClosedLoopError`] when a corrected system cannot stand in the machine's place, no state can be told from the
     /// readings at the beginning of an episode, or a node of the graph gives up.
-    pub fn scores(&self, diagnosis: &Diagnosis, seed: u64) -> Result<ClosedLoop, ClosedLoopError> {
+    pub fn scores(&self, found: Corrections<'_>, seed: u64) -> Result<ClosedLoop, ClosedLoopError> {
         let rows = [
             Some((&[][..], &[][..])),
-            Some((&diagnosis.refitted[..], &[][..])),
-            (!diagnosis.effects.is_empty() || diagnosis.calibrated != diagnosis.refitted)
-                .then_some((&diagnosis.calibrated[..], &diagnosis.effects[..])),
+            Some((found.refitted, &[][..])),
+            (!found.effects.is_empty() || found.calibrated != found.refitted)
+                .then_some((found.calibrated, found.effects)),
         ];
         let courses = if self.around.is_none() { self.courses()? } else { Vec::new() };
         let mut found: Vec<(Runs, Option<Trace>)> = Vec::new();

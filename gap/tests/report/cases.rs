@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use parallax_gap::closed_loop::{ClosedLoop, Controlled, LoopScore};
 use parallax_gap::explain::{Explanation, Fate, Worse};
 use parallax_gap::maps::{Bin, Map};
 use parallax_gap::report::{
@@ -308,4 +309,38 @@ pub(crate) fn broken_overlay() -> Overlay {
     broken.stamp[1800..].iter_mut().for_each(|t| *t -= 40.0);
     broken.noise = f64::NAN;
     broken
+}
+
+/// One effect, and a task that needs it.
+pub(crate) fn in_closed_loop() -> Report {
+    let row = |score: Interval, difference: Interval, agrees| LoopScore {
+        score: Some(score),
+        difference: Some(difference),
+        agrees,
+        lost: 0,
+        of: 200,
+    };
+    Report {
+        closed_loop: Some(ClosedLoop {
+            task: "follow the course".into(),
+            cost: "error^2 + 1e-5*force^2".into(),
+            unit: "m^2".into(),
+            controller: Controlled::Policy,
+            episodes: 10,
+            horizon_s: 2.0,
+            runs: 20,
+            miss: Some(0.004),
+            recorded: interval(0.0451, 0.0321, 0.0571),
+            nominal: row(interval(0.0395, 0.0285, 0.0495), interval(-0.0056, -0.008, -0.003), false),
+            refitted: row(interval(0.04, 0.0287, 0.0505), interval(-0.0051, -0.0073, -0.0027), false),
+            with_effect: Some(row(
+                interval(0.0452, 0.0321, 0.0571),
+                interval(0.00001, -0.00004, 0.00006),
+                true,
+            )),
+            closed: Some(interval(0.998, 0.98, 1.0)),
+            episode: vec![overlay()],
+        }),
+        ..one_effect()
+    }
 }

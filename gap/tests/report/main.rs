@@ -129,6 +129,40 @@ fn the_page_answers_what_was_asked() {
 }
 
 #[test]
+fn a_task_has_its_table_and_its_first_episode() {
+    let mut report = cases::in_closed_loop();
+    check_page(&report, &[cases::overlay()]);
+    let page = html::page(&report, &[]);
+    let shown = all_text(&parse(&page));
+    for part in [
+        "follow the course",
+        "the effect matters for this task",
+        "0.0395 (0.0285 to 0.0495)",
+        "10 episodes of 2 s",
+        "in the first episode",
+    ] {
+        assert!(shown.contains(part), "no `{part}` in: {shown}");
+    }
+    // Without a task there is no such section.
+    assert!(!all_text(&parse(&html::page(&cases::one_effect(), &[]))).contains("closed loop"));
+
+    // A loop that is unstable without the effect has no score, and says so.
+    let scores = report.closed_loop.as_mut().expect("scores");
+    (scores.refitted.score, scores.refitted.difference) = (None, None);
+    scores.refitted.lost = scores.refitted.of;
+    (scores.closed, scores.miss) = (None, Some(0.4));
+    check_page(&report, &[]);
+    let answer = text::summary(&report).split_whitespace().collect::<Vec<_>>().join(" ");
+    for part in [
+        "unstable: all 200 runs left all bounds",
+        "(200 of 200 runs unstable)",
+        "it may not be the one that ran",
+    ] {
+        assert!(answer.contains(part), "no `{part}` in: {answer}");
+    }
+}
+
+#[test]
 fn an_interrupted_diagnosis_says_so_first_and_what_was_not_tried() {
     let report = cases::interrupted();
     let page = all_text(&parse(&html::page(&report, &[])));
@@ -247,6 +281,7 @@ fn the_short_answer() {
     insta::assert_snapshot!("two_effects", text::summary(&cases::two_effects()));
     insta::assert_snapshot!("no_gap", text::summary(&cases::no_gap()));
     insta::assert_snapshot!("none_of_these", text::summary(&cases::none_of_these()));
+    insta::assert_snapshot!("in_closed_loop", text::summary(&cases::in_closed_loop()));
     insta::assert_snapshot!("extreme", text::summary(&cases::extreme()));
 }
 
