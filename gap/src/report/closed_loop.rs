@@ -6,6 +6,8 @@ use crate::report::Interval;
 
 /// Share of the difference from the recorded score from which an effect is said to close it.
 const MOST: f64 = 0.5;
+/// Share of the recorded score by which a prediction may miss it without being wrong in practice.
+const LITTLE: f64 = 0.02;
 /// How far a controller may miss the recorded commands, over their deviation, before its scores are doubted.
 const MISSES: f64 = 0.1;
 
@@ -63,43 +65,27 @@ fn remark(row: &LoopScore, recorded: &Interval) -> String {
 pub(super) fn sentence(closed_loop: &ClosedLoop) -> String {
     let unit = format::unit(&closed_loop.unit);
     let number = |interval: &Interval| format!("{}{unit}", format::number(interval.value, 3));
+    let predicted = |row: &LoopScore| match (&row.score, row.lost) {
+        (None, _) => "nothing: every run is unstable".to_owned(),
+        (Some(score), 0) => number(score),
+        (Some(score), lost) => format!("{} ({lost} of {} runs unstable)", number(score), row.of),
+    };
     let recorded = number(&closed_loop.recorded);
-    let predicted = |row: &LoopScore| row.score.as_ref().map_or("no score".to_owned(), number);
     let without = &closed_loop.refitted;
     let said = match &closed_loop.with_effect {
-        None if without.agrees => {
-            format!("The task costs {recorded}, and the system without any effect predicts that.")
-        }
-        None => format!(
-            "The task costs {recorded}; the system without any effect predicts {}.",
-            predicted(without)
-        ),
-        Some(with) if without.agrees && with.agrees => format!(
-            "The task costs {recorded}, as predicted with the effect and without: it does not tell them apart."
-        ),
-        Some(with) => {
-            let closed = closed_loop.closed.as_ref().map_or(0.0, |closed| closed.value);
-            let verdict = if with.agrees {
-                "the effect matters for this task"
-            } else if without.agrees {
-                "for this task the effect makes the prediction worse"
-            } else if without.lost > with.lost {
-                "the effect matters for this task, and more than it does"
-            } else if closed >= MOST {
-                "the effect matters for this task, and it is most of what does"
-            } else {
-                "what matters for this task lies elsewhere"
-            };
-            let unstable = match without.lost {
-                0 => String::new(),
-                lost => format!(" ({lost} of {} runs unstable)", without.of),
-            };
+        None => {
+            let verdict = if without.agrees { ", as recorded" } else { "" };
             format!(
-                "The task costs {recorded}; without the effect the simulator predicts {}{unstable}, with it {}: {verdict}.",
-                predicted(without),
-                predicted(with)
+                "The task costs {recorded}; the simulator, which has no effect added, predicts {}{verdict}.",
+                predicted(without)
             )
         }
+        Some(with) => format!(
+            "The task costs {recorded}; the simulator predicts {} without the effect and {} with it: {}.",
+            predicted(without),
+            predicted(with),
+            verdict(closed_loop, with)
+        ),
     };
     match closed_loop.miss {
         Some(miss) if miss > MISSES => format!(
@@ -108,6 +94,33 @@ pub(super) fn sentence(closed_loop: &ClosedLoop) -> String {
             format::share(miss)
         ),
         _ => said,
+    }
+}
+
+/// Whether the effect matters for the task.
+fn verdict(closed_loop: &ClosedLoop, with: &LoopScore) -> &'static str {
+    let without = &closed_loop.refitted;
+    let closed = closed_loop.closed.as_ref();
+    let near = |row: &LoopScore| {
+        let little = LITTLE * closed_loop.recorded.value.abs();
+        row.lost == 0 && row.difference.as_ref().is_some_and(|difference| difference.value.abs() <= little)
+    };
+    if near(without) && near(with) {
+        "it hardly matters for this task"
+    } else if without.lost > with.lost {
+        "the effect matters for this task"
+    } else if with.lost > without.lost {
+        "with the effect the simulated loop is less stable than the recorded one"
+    } else if without.agrees && with.agrees && closed.is_none_or(|closed| closed.low < MOST) {
+        "these scores do not tell whether it matters for this task"
+    } else if with.agrees || near(with) {
+        "the effect matters for this task"
+    } else if closed.is_some_and(|closed| closed.value >= MOST) {
+        "the effect matters for this task, and is most of what does"
+    } else if without.agrees {
+        "for this task it makes the prediction worse"
+    } else {
+        "what matters for this task lies elsewhere"
     }
 }
 

@@ -233,7 +233,7 @@ fn closed_loop_section(report: &Report) -> String {
     let rows: String = closed_loop::rows(scores).iter().map(row).collect();
     let table = format!(
         "<div class=\"scroll\"><table>\n<thead><tr><th scope=\"col\">system</th><th scope=\"col\">score (95 % \
-         interval){unit}</th><th scope=\"col\" class=\"mark\"></th></tr></thead>\n<tbody>{rows}</tbody></table></div>\n"
+         interval){unit}</th><th scope=\"col\" class=\"mark\">less the recorded</th></tr></thead>\n<tbody>{rows}</tbody></table></div>\n"
     );
     let readings = scores.episode.iter().map(Readings::new).filter(|readings| !readings.stamp.is_empty());
     let figures: String = readings
