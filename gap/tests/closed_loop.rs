@@ -148,6 +148,16 @@ fn a_late_command_raises_the_cost_and_only_the_corrected_system_says_so() {
 }
 
 #[test]
+fn a_late_sensor_closes_the_loop_as_a_late_command_does() {
+    // With one sensor the two are the same loop, and the same readings.
+    let log = Carriage { delay: 0.06, ..FOLLOWER }.record(1, 20.0);
+    let found = scored(TASK, log, &[effect("delay", "output:position", "delay", 0.06)]);
+    let with = found.with_effect.as_ref().unwrap();
+    assert!(with.agrees && with.lost == 0, "{with:?}");
+    assert!(with.difference.as_ref().unwrap().value.abs() < 0.01 * found.recorded.value, "{with:?}");
+}
+
+#[test]
 fn where_nothing_is_wrong_the_nominal_system_predicts_the_recorded_score() {
     let found = scored(TASK, FOLLOWER.record(2, 20.0), &[]);
     let difference = found.nominal.difference.as_ref().unwrap();
@@ -223,6 +233,30 @@ fn a_recorded_graph_closes_its_own_loop() {
     let (without, with) = (&found.refitted, found.with_effect.as_ref().unwrap());
     assert!(!without.agrees, "{without:?} for {:?}", found.recorded);
     assert!(with.agrees, "{with:?} for {:?}", found.recorded);
+}
+
+#[test]
+fn a_graph_whose_sensor_says_more_than_the_system_is_refused() {
+    let registry = pendulum::kinds(Registry::new(), HiddenEffect::None);
+    let graph = pendulum::graph().validate(&registry).unwrap();
+    let recording = Executor::new(graph, 5).record(3_000_000_000).unwrap();
+    let task = "format = 1\nname = \"upright\"\n[task]\ncost = \"angle^2\"\n";
+    let task = Task::parse(task, "task.toml").unwrap();
+    let logs = [recording.log()];
+    let refused = |from: &str, to: &str| {
+        let system = System::parse(&pendulum::SYSTEM.replace(from, to), "system.toml").unwrap();
+        match prepare(&task, &system, &logs, Some((&recording, &registry)), None) {
+            Ok(_) => panic!("the system was accepted"),
+            Err(error) => error.to_string(),
+        }
+    };
+    let message = refused("camera.angle", "estimator.angle");
+    assert!(
+        message.contains("node `estimator` sends `speed`") && message.contains("estimator.speed"),
+        "{message}"
+    );
+    let mean = refused("signal = \"motor.voltage\"", "mean_of = [\"motor.voltage\", \"agent.voltage\"]");
+    assert!(mean.contains("`voltage`") && mean.contains("motor.voltage and agent.voltage"), "{mean}");
 }
 
 fn refused(task: &str) -> ClosedLoopError {

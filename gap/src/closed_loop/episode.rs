@@ -15,6 +15,9 @@ const BEFORE: f64 = 1.0;
 /// Share of the controller's period by which stamps that mean the same time may differ.
 const SCATTER: f64 = 0.01;
 
+/// The largest miss that is stated.
+const MOST_MISSED: f64 = 1e3;
+
 /// What happens next. At one stamp, what comes from outside comes first, then readings, then the controller; a reading that
 /// shows a command follows it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -87,7 +90,8 @@ impl<'a> Course<'a> {
         let count = course.ticks.len().max(1) as f64;
         let relative = |(error, input): (&f64, &usize)| {
             let size = standard_deviation(&course.recorded.commands[*input].values);
-            (error / count).sqrt() / size.max(1e-300)
+            // A command that never changes has no size of its own.
+            ((error / count).sqrt() / size.max(f64::MIN_POSITIVE)).min(MOST_MISSED)
         };
         course.miss = errors.iter().zip(&bound.commands).map(relative).fold(0.0, f64::max);
         Ok(course)

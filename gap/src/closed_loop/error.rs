@@ -31,6 +31,18 @@ pub enum ClosedLoopError {
         /// What is missing, and what there is.
         source: Box<UnknownSignal>,
     },
+    /// A signal that the task reads has no sample.
+    #[error(
+        "the recording `{title}` has no sample of `{signal}`, which the task reads as `{name}`; leave that recording out, or choose another part of it"
+    )]
+    Silent {
+        /// The recording.
+        title: String,
+        /// The signal.
+        signal: String,
+        /// Its name in the task.
+        name: String,
+    },
     /// An output of the controller commands nothing.
     #[error(
         "{file}:{line}: the controller's output `{output}` cannot act: {problem}; name it after the input that it commands"

@@ -188,6 +188,21 @@ pub fn prepare<'a>(
     Ok(prepared)
 }
 
+/// A run's score, and its signals where they are kept.
+type Scored = (f64, Option<Trace>);
+
+/// The scores of all runs, and the signals of the one that kept them.
+fn shown(all: Vec<Vec<Option<Scored>>>) -> (Runs, Option<Trace>) {
+    let mut kept = None;
+    let mut score = |run: Option<Scored>| {
+        let (score, trace) = run?;
+        kept = trace.or(kept.take());
+        Some(score)
+    };
+    let scores = all.into_iter().map(|runs| runs.into_iter().map(&mut score).collect()).collect();
+    (scores, kept)
+}
+
 impl Prepared<'_> {
     /// Cuts the recordings into episodes. A graph's nodes cannot begin in the middle of a run: it has one episode.
     fn cut(&mut self) -> Result<(), ClosedLoopError> {
@@ -222,6 +237,15 @@ impl Prepared<'_> {
         let equations = &self.bound.equations.cost;
         for (seen, spans) in self.seen.iter().zip(&self.spans) {
             let trace = self.bound.recorded(&seen.experiment, &seen.log);
+            for (input, source) in equations.system().inputs.iter().zip(&self.bound.sources) {
+                if trace.channel(*source).values.is_empty() {
+                    return Err(ClosedLoopError::Silent {
+                        title: seen.log.title.clone(),
+                        signal: input.signal.clone(),
+                        name: input.name.clone(),
+                    });
+                }
+            }
             for (from, to) in spans {
                 let found = score(equations, &self.bound.sources, &trace, *from, *to);
                 self.recorded.push(found.map_err(|fault| self.not_finite(&seen.log, &fault))?);
@@ -324,15 +348,11 @@ impl Prepared<'_> {
                 let seed = derived(seed, &format!("recording {k}, episode {episode}, run {run}"));
                 let trace = course.run(variant, episode, variant.world(&start, seed)).ok()?;
                 let score = score(equations, &self.bound.sources, &trace, from, to).ok()?;
-                Some((score, trace))
+                Some((score, ((k, episode, run) == (0, 0, 0)).then_some(trace)))
             };
-            let runs: Vec<Option<(f64, Trace)>> = (0..RUNS).into_par_iter().map(run).collect();
-            Ok(runs)
+            Ok((0..RUNS).into_par_iter().map(run).collect())
         });
-        let all = all.collect::<Result<Vec<_>, ClosedLoopError>>()?;
-        let shown = all.first().and_then(|runs| runs.first()?.as_ref()).map(|(_, trace)| trace.clone());
-        let scores = |runs: Vec<Option<(f64, Trace)>>| runs.into_iter().map(|run| Some(run?.0)).collect();
-        Ok((all.into_iter().map(scores).collect(), shown))
+        Ok(shown(all.collect::<Result<_, ClosedLoopError>>()?))
     }
 
     fn run_graph(
@@ -348,12 +368,11 @@ impl Prepared<'_> {
             let seed = derived(seed, &format!("graph, run {run}"));
             let found = around.run(&self.bound, &self.system, variant.world(&start, seed), to, seed)?;
             let Ok(trace) = found else { return Ok(None) };
-            Ok(score(equations, &self.bound.sources, &trace, from, to).ok().map(|score| (score, trace)))
+            let score = score(equations, &self.bound.sources, &trace, from, to).ok();
+            Ok(score.map(|score| (score, (run == 0).then_some(trace))))
         };
-        let all: Vec<Option<(f64, Trace)>> =
-            (0..RUNS).into_par_iter().map(run).collect::<Result<_, ClosedLoopError>>()?;
-        let shown = all.first().and_then(Option::as_ref).map(|(_, trace)| trace.clone());
-        Ok((vec![all.into_iter().map(|run| Some(run?.0)).collect()], shown))
+        let all = (0..RUNS).into_par_iter().map(run).collect::<Result<_, ClosedLoopError>>()?;
+        Ok(shown(vec![all]))
     }
 
     /// The first episode's readings beside those of a run with the refitted system, and of one with the effects.

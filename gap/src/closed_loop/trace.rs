@@ -1,5 +1,7 @@
 //! What the names of a task stand for, and the signals of one closed loop, recorded or simulated.
 
+use std::sync::Arc;
+
 use parallax_model::system::{BoundTask, System, Task};
 use parallax_runtime::recording::log::Log;
 
@@ -129,14 +131,14 @@ impl Bound {
 }
 
 /// The signals of one closed loop; times in seconds from the recording's first stamp.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(super) struct Trace {
     /// One per output of the machine.
     pub(super) readings: Vec<Held>,
     /// One per input of the machine.
     pub(super) commands: Vec<Held>,
     /// One per signal of [`Bound::others`].
-    pub(super) others: Vec<Held>,
+    pub(super) others: Arc<[Held]>,
 }
 
 impl Trace {
@@ -157,7 +159,7 @@ impl Trace {
         Trace {
             readings: self.readings.iter().map(cut).collect(),
             commands: self.commands.iter().map(cut).collect(),
-            others: self.others.clone(),
+            others: Arc::clone(&self.others),
         }
     }
 }

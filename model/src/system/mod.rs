@@ -1,4 +1,4 @@
-//! A plant described by equations: the contents of a `system.toml`.
+//! A plant described by equations: the contents of a `system.toml`; and what it is there to do, a [`Task`].
 //!
 //! There are two stages. [`System::parse`] reads the text: structure, bounds and the syntax of every
 //! expression are right, but a name may still be open, because a recording's `[constants]` can supply it.

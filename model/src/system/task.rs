@@ -42,7 +42,10 @@ const SECTIONS: [&str; 9] =
 /// [outputs]
 /// force = { value = "clamp(80*error + 5*sum - 9*(position - last)/0.01, -20, 20)" }
 /// "#, "task.toml")?;
-/// assert_eq!(task.system.open_names(), ["course", "position"]);
+/// // The machine has signals of these names.
+/// let bound = task.bind(&["course", "position"], |name| Some(name.to_owned()))?;
+/// let names: Vec<&str> = bound.controller.system().inputs.iter().map(|input| input.name.as_str()).collect();
+/// assert_eq!(names, ["course", "force", "position", "last"]);
 /// # Ok::<(), parallax_model::system::SystemError>(())
 /// ```
 #[derive(Clone, Debug, PartialEq)]
@@ -143,8 +146,8 @@ impl Task {
         !self.system.outputs.is_empty()
     }
 
-    /// Gives every name that the file leaves open the value of the machine's output, input or signal of that name:
-    /// `signal` says which signal that is. The task's equations then have an input for each.
+    /// Gives every name that the file leaves open a signal of the machine: `signal` says which one, if there is one of that
+    /// name. The task's equations then have an input for each.
     ///
     /// # Errors
     ///
