@@ -216,12 +216,16 @@ impl Loaded {
             DiagnosisError::Stopped => Failure::interrupted(error),
             error => Failure::input(error),
         })?;
-        if let Some(prepared) = closed_loop.filter(|_| diagnosis.report.interrupted.is_none()) {
-            bar.set_message("closing the loop");
-            match prepared.scores((&diagnosis).into(), options.seed) {
-                Ok(scores) => diagnosis.report.closed_loop = Some(scores),
-                Err(error) => eprintln!("warning: the closed loop cannot be scored: {error}"),
+        match (closed_loop, &mut diagnosis.report.interrupted) {
+            (Some(_), Some(interrupted)) => interrupted.not_tried.push("the score in closed loop".into()),
+            (Some(prepared), None) => {
+                bar.set_message("closing the loop");
+                match prepared.scores((&diagnosis).into(), options.seed) {
+                    Ok(scores) => diagnosis.report.closed_loop = Some(scores),
+                    Err(error) => eprintln!("warning: the closed loop cannot be scored: {error}"),
+                }
             }
+            (None, _) => {}
         }
         bar.finish_and_clear();
         self.look_at_the_graph(&mut diagnosis.report);

@@ -66,10 +66,11 @@ impl<'a> Course<'a> {
                 all
             }
         };
-        let first = |signal: &str| {
-            let names = &bound.equations.controller.system().inputs;
-            let index = names.iter().position(|input| input.signal == signal || input.name == signal)?;
-            recorded.channel(bound.sources[index]).values.first().copied()
+        let first = |name: &str| {
+            let inputs = &bound.equations.controller.system().inputs[..bound.equations.signals];
+            let read = inputs.iter().position(|input| input.signal == name || input.name == name);
+            let read = read.and_then(|index| recorded.channel(bound.sources[index]).values.first());
+            read.or_else(|| seen.log.signal(name).ok()?.values.first()).copied()
         };
         let mut controller = Controller::new(&bound.equations, first)?;
         let mut periods: Vec<f64> = ticks.windows(2).map(|pair| pair[1] - pair[0]).collect();
