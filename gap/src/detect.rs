@@ -63,6 +63,20 @@ pub fn p_value(nuisance: &Nuisance, groups: &[DMatrix<f64>], seed: u64) -> f64 {
     (effective.max(1.0) * observed.exp()).clamp(f64::MIN_POSITIVE, 20.0 / NULLS as f64)
 }
 
+/// Share of a false alarm's probability that is spent on the evidence; the score test has the rest.
+const SPENT: f64 = 0.01;
+
+/// The probability, by chance alone, of a score this high or of an evidence this strong.
+///
+/// A score test looks at readings in units of what the null model takes for noise, and a large gap is taken for much
+/// noise. The evidence for a gap against none has an expectation of at most 1 where there is none, so that it exceeds
+/// 1/α with a probability of at most α (Markov; Vovk & Wang 2021, e-values), and its tempered form all the more.
+#[must_use]
+pub fn by_either(score: f64, log_evidence: f64) -> f64 {
+    let by_evidence = ((-log_evidence).exp() / SPENT).max(f64::MIN_POSITIVE);
+    ((1.0 + SPENT) * score.min(by_evidence)).min(1.0)
+}
+
 /// Natural logarithm of P(χ²_k > x).
 fn log_chi_square_tail(x: f64, degrees: usize) -> f64 {
     if degrees == 0 || x <= 0.0 {

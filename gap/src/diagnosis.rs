@@ -25,8 +25,9 @@ use crate::posterior::{self, Answer};
 use crate::quantify::{self, Row};
 use crate::readings::{self, ReadingEffect};
 use crate::report::{
-    Absorbed, Confusable, FittedEffect, Gap, HowFar, NotTestable, Overlay, Report, Split, Unexplained,
+    Absorbed, Confusable, FittedEffect, Gap, NotTestable, Overlay, Report, Split, Unexplained,
 };
+use crate::rows::Rows;
 use crate::search::{self, Fit};
 use crate::setup::Setup;
 use crate::shapley;
@@ -50,29 +51,6 @@ pub struct Diagnosis {
     pub effects: Vec<EffectEntry>,
     /// What the errors on held-out time are made of.
     pub(crate) rows: Rows,
-}
-
-/// Predictions of the rows of [`HowFar`].
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Rows {
-    pub(crate) nominal: Row,
-    pub(crate) refitted: Row,
-    pub(crate) with_effect: Row,
-    pub(crate) black_box: Row,
-}
-
-impl Rows {
-    /// One after the other.
-    pub(crate) fn joined<'a>(all: impl Iterator<Item = &'a Rows>) -> Rows {
-        let mut joined = Rows::default();
-        for rows in all {
-            joined.nominal.extend(&rows.nominal);
-            joined.refitted.extend(&rows.refitted);
-            joined.with_effect.extend(&rows.with_effect);
-            joined.black_box.extend(&rows.black_box);
-        }
-        joined
-    }
 }
 
 /// Diagnoses one recording. `progress` is told what is done, from 0 to 1.
@@ -171,7 +149,8 @@ pub(crate) fn diagnose_bound(
     let mut columns = columns;
     columns
         .extend(unknown::kinds(&setup).into_iter().map(|kind| unknown::columns(&setup, &null, &null, kind)));
-    let p_value = detect::p_value(&nuisance, &columns, options.seed);
+    let score = detect::p_value(&nuisance, &columns, options.seed);
+    let p_value = detect::by_either(score, answers.log_evidence);
     progress(0.92, "held-out time");
     Ok(conclude(&setup, title, options, Found { null, answers, p_value, not_testable, absorbed, readings }))
 }
@@ -358,30 +337,14 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
     let with_effect = if detected && named { row(best) } else { refitted.clone() };
     let black_box = answers.residual(named).map_or_else(|| with_effect.clone(), row);
 
-    let rms = |r: &Row| r.mean_square().sqrt();
-    let how_far = HowFar {
-        horizon_s: setup.horizon,
-        nominal: rms(&nominal),
-        refitted: rms(&refitted),
-        with_effect: rms(&with_effect),
-        black_box: rms(&black_box),
-        noise_floor: 1.0,
-        closed_total: quantify::closed(&nominal, &with_effect, options.seed),
-        closed_by_effect: quantify::closed(&refitted, &with_effect, options.seed),
-        split: if detected && named {
-            split(setup, &null, best, &refitted, &with_effect)
-        } else {
-            Vec::new()
-        },
-    };
-    let gap_square = (refitted.mean_square() - 1.0).max(1e-12);
-    let left = (with_effect.mean_square() - black_box.mean_square()).max(0.0);
-    let unexplained = Unexplained {
-        probability: answers.unexplained,
-        share: if detected && left.is_finite() { (left / gap_square).min(1.0) } else { 0.0 },
-    };
+    let rows = Rows { nominal, refitted, with_effect, black_box };
+    let Rows { refitted, with_effect, black_box, .. } = &rows;
+    let split = if detected && named { split(setup, &null, best, refitted, with_effect) } else { Vec::new() };
+    let how_far = rows.how_far(setup.horizon, split, options.seed);
+    let share = if detected { rows.left() } else { 0.0 };
+    let unexplained = Unexplained { probability: answers.unexplained, share };
     let overlays = (0..setup.experiment.wraps.len())
-        .map(|o| quantify::overlay(setup, o, &refitted, &with_effect))
+        .map(|o| quantify::overlay(setup, o, refitted, with_effect))
         .collect();
 
     // How readings scatter is a cause of the gap only where their mean leaves nothing larger. Commands that scatter move
@@ -413,7 +376,7 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
         summary: String::new(),
         system: system.name.clone(),
         recordings: vec![title.into()],
-        gap: Gap { detected, p_value: chance.max(f64::MIN_POSITIVE), score: rms(&refitted) },
+        gap: Gap { detected, p_value: chance.max(f64::MIN_POSITIVE), score: how_far.refitted },
         calibration: calibration::moved(setup, shown),
         where_: answers::places(&answers, &causes),
         maps: if mean_detected { maps::maps(setup, &null, options.seed) } else { Vec::new() },
@@ -442,7 +405,6 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
         parameters: r.parameters.clone(),
     }));
     let effects = answers::corrected_effects(setup, &found);
-    let rows = Rows { nominal, refitted, with_effect, black_box };
     let (calibrated, refitted) = (calibration::values(setup, shown), calibration::values(setup, &null));
     let mut diagnosis = Diagnosis { report, overlays, calibrated, refitted, effects, rows };
     diagnosis.report.summary = crate::report::sentence::summary(&diagnosis.report);

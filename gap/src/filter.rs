@@ -37,8 +37,10 @@ pub struct Start {
     pub end: usize,
     /// Stamp of the first reading that is looked at (s), whatever happens earlier.
     pub from: f64,
-    /// Stamp of the first reading that counts (s); earlier ones only tell the state.
+    /// Stamp of the first reading that is a part of the walk (s); earlier ones only tell the state.
     pub counts_from: f64,
+    /// Stamp of the first reading that the likelihood is of (s), given all earlier ones.
+    pub weighs_from: f64,
     /// End of the stamps that belong to the stretch (s): later readings that happen in between are not looked at.
     pub to: f64,
     /// The state guessed at the first event.
@@ -66,6 +68,8 @@ pub struct Pass {
     pub event: Vec<usize>,
     /// State after each reading, readings × states.
     pub state: Vec<f64>,
+    /// Which readings the likelihood is of; the others are given.
+    weighs: Vec<bool>,
     tapes: Vec<Tape>,
 }
 
@@ -96,7 +100,7 @@ enum Tick {
         gain: usize,
         innovation: F64x16,
         output: [u8; LANES],
-        counts: F64x16,
+        weighs: F64x16,
     },
 }
 
@@ -131,6 +135,7 @@ struct Found {
     stamp: Vec<f64>,
     event: Vec<usize>,
     state: Vec<f64>,
+    weighs: Vec<bool>,
 }
 
 impl Found {
@@ -143,6 +148,7 @@ impl Found {
             stamp: Vec::with_capacity(readings),
             event: Vec::with_capacity(readings),
             state: Vec::with_capacity(readings * states),
+            weighs: Vec::with_capacity(readings),
         }
     }
 
@@ -167,6 +173,7 @@ impl Found {
             stamp: rows(&self.stamp),
             event: order.iter().map(|k| self.event[*k]).collect(),
             state: rows(&self.state),
+            weighs: order.iter().map(|k| self.weighs[*k]).collect(),
         }
     }
 }
@@ -205,7 +212,7 @@ fn walk_group(run: &mut dyn Run, group: &[Start], scale: &[f64], noise: &Noise, 
     while let Some(tick) = lanes.next(run) {
         if let lockstep::Tick::Read(reads) = tick {
             let value = run.observe_lanes(&reads, &motion, &mut row);
-            let (mut innovation, mut noise, mut active, mut counts) = (zero, zero, zero, zero);
+            let (mut innovation, mut noise, mut active, mut weighs) = (zero, zero, zero, zero);
             let mut output = [NOTHING; LANES];
             for (lane, start) in group.iter().enumerate() {
                 let Some(reading) = reads[lane].and_then(|index| run.events()[index].reading) else {
@@ -214,7 +221,7 @@ fn walk_group(run: &mut dyn Run, group: &[Start], scale: &[f64], noise: &Noise, 
                 innovation[lane] = wrapped(reading.value - value[lane], run.wrap(reading.output));
                 noise[lane] = output_variance[reading.output];
                 active[lane] = 1.0;
-                counts[lane] = f64::from(u8::from(reading.stamp >= start.counts_from));
+                weighs[lane] = f64::from(u8::from(reading.stamp >= start.weighs_from));
                 output[lane] = reading.output as u8;
             }
             let seen = tape.seen.len();
@@ -230,14 +237,15 @@ fn walk_group(run: &mut dyn Run, group: &[Start], scale: &[f64], noise: &Noise, 
                 covariance: &mut covariance,
                 gain: &mut gain,
             });
-            for (lane, found) in found.iter_mut().enumerate() {
+            for ((lane, found), start) in found.iter_mut().enumerate().zip(group) {
                 let Some((index, reading)) = reads[lane].and_then(|i| Some((i, run.events()[i].reading?)))
                 else {
                     continue;
                 };
-                if counts[lane] == 0.0 {
+                if reading.stamp < start.counts_from {
                     continue;
                 }
+                found.weighs.push(weighs[lane] != 0.0);
                 found.innovation.push(innovation[lane]);
                 found.variance.push(spread[lane]);
                 found.by_parameter.extend(row.by[n..].iter().map(|d| -d[lane]));
@@ -249,7 +257,7 @@ fn walk_group(run: &mut dyn Run, group: &[Start], scale: &[f64], noise: &Noise, 
             let by_state = tape.numbers.len();
             tape.numbers.extend_from_slice(&row.by[..n]);
             tape.numbers.extend_from_slice(&gain);
-            tape.ticks.push(Tick::Read { by_state, seen, gain: by_state + n, innovation, output, counts });
+            tape.ticks.push(Tick::Read { by_state, seen, gain: by_state + n, innovation, output, weighs });
         }
         if let lockstep::Tick::Advance(steps) = tick {
             let mut dt = zero;
@@ -290,6 +298,7 @@ fn walk_group(run: &mut dyn Run, group: &[Start], scale: &[f64], noise: &Noise, 
         pass.stamp.append(&mut found.stamp);
         pass.event.append(&mut found.event);
         pass.state.append(&mut found.state);
+        pass.weighs.append(&mut found.weighs);
     }
     pass.tapes.push(tape);
 }
@@ -311,7 +320,8 @@ impl Pass {
     /// −2 log of the likelihood, up to a constant that is the same for every hypothesis on these readings.
     #[must_use]
     pub fn cost(&self) -> f64 {
-        self.innovation.iter().zip(&self.variance).map(|(e, s)| e * e / s + s.ln()).sum()
+        let all = self.innovation.iter().zip(&self.variance).zip(&self.weighs);
+        all.filter(|(_, weighs)| **weighs).map(|((e, s), _)| e * e / s + s.ln()).sum()
     }
 
     /// How many readings were predicted.
@@ -343,7 +353,8 @@ impl Pass {
         if p == 0 {
             return;
         }
-        for ((row, e), s) in self.by_parameter.chunks(p).zip(&self.innovation).zip(&self.variance) {
+        let all = self.by_parameter.chunks(p).zip(&self.innovation).zip(&self.variance).zip(&self.weighs);
+        for (((row, e), s), _) in all.filter(|(_, weighs)| **weighs) {
             for i in 0..p {
                 gradient[i] += row[i] * e / s;
                 for j in 0..=i {

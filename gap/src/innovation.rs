@@ -48,6 +48,10 @@ pub struct InnovationFit {
 /// Readings of each output from which a filter that starts in the middle of a segment learns the state.
 pub const SETTLING_READINGS: usize = 8;
 
+/// How many times that pass before readings count: a hypothesis with a state of its own must not pay for what is not
+/// known of it in every stretch.
+const SETTLED: usize = 4;
+
 /// Cuts segments into stretches that can be walked side by side. A filter forgets where it began; the first readings of
 /// each stretch, which the one before it has counted already, tell it the state.
 fn stretches(simulator: &dyn Simulator, run: &dyn Run, segments: &[Segment], outputs: usize) -> Vec<Start> {
@@ -61,12 +65,13 @@ fn stretches(simulator: &dyn Simulator, run: &dyn Run, segments: &[Segment], out
         .collect();
     let stamps: Vec<Vec<f64>> = found
         .iter()
-        .map(|(_, first, end)| {
+        .map(|(segment, first, end)| {
             let readings = run.events()[*first..*end].iter().filter_map(|e| e.reading);
-            readings.map(|r| r.stamp).collect()
+            // A late sensor shows others in between.
+            readings.map(|r| r.stamp).filter(|s| (segment.from..segment.to).contains(s)).collect()
         })
         .collect();
-    let settling = 2 * SETTLING_READINGS * outputs;
+    let settling = SETTLED * SETTLING_READINGS * outputs;
     let total: usize = stamps.iter().map(Vec::len).sum();
     let mut starts = Vec::new();
     for ((segment, first, end), mut stamps) in found.into_iter().zip(stamps) {
@@ -79,12 +84,14 @@ fn stretches(simulator: &dyn Simulator, run: &dyn Run, segments: &[Segment], out
             let at = stamps.len() * piece / pieces;
             let next = stamps.len() * (piece + 1) / pieces;
             let counts_from = if piece == 0 { segment.from } else { stamps[at] };
+            // What a segment's first readings tell is the state, whatever states a hypothesis has.
+            let weighs_from = if piece == 0 { stamps[settling.min(stamps.len() / 4)] } else { stamps[at] };
             let from = if piece == 0 { segment.from } else { stamps[at - settling] };
             let to = if piece + 1 == pieces { segment.to } else { stamps[next] };
             let place = if pieces == 1 { Some((first, end)) } else { locate(run.events(), late, from, to) };
             let Some((first, end)) = place else { continue };
             let (state, std) = simulator.start(&segment.state, &segment.std, run.events()[first].time);
-            starts.push(Start { first, end, from, counts_from, to, state, std });
+            starts.push(Start { first, end, from, counts_from, weighs_from, to, state, std });
         }
     }
     starts

@@ -98,6 +98,7 @@ pub mod posterior;
 pub mod quantify;
 pub mod readings;
 pub mod report;
+mod rows;
 pub mod search;
 pub mod setup;
 pub mod shapley;

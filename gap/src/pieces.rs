@@ -8,11 +8,11 @@ use parallax_model::system::System;
 use parallax_runtime::recording::log::Log;
 
 use crate::bind::bind_all;
-use crate::diagnosis::{Diagnosis, DiagnosisError, Rows, diagnose_bound};
+use crate::diagnosis::{Diagnosis, DiagnosisError, diagnose_bound};
 use crate::library;
 use crate::options::Options;
-use crate::quantify::{self, Row};
-use crate::report::{Gap, HowFar, Interrupted, Report, Split, Unexplained, Which, sentence};
+use crate::report::{Gap, Interrupted, Report, Split, Unexplained, Which, sentence};
+use crate::rows::Rows;
 use crate::setup::Setup;
 
 /// Answers of the whole that are listed.
@@ -94,27 +94,20 @@ fn together(found: Vec<Diagnosis>, seed: u64) -> Diagnosis {
     let reports: Vec<&Report> = found.iter().map(|d| &d.report).collect();
     let which = which(&reports);
     let rows = Rows::joined(found.iter().map(|d| &d.rows));
-    let how_far = how_far(&reports, &rows, seed);
+    let horizon = reports.iter().map(|r| r.how_far.horizon_s).fold(0.0, f64::max);
+    let how_far = rows.how_far(horizon, split(&reports), seed);
     let detected: Vec<&&Report> = reports.iter().filter(|r| r.gap.detected).collect();
     let nameless = |r: &&&Report| matches!(Choice::of(r), Choice::Unexplained(_));
     let unexplained = Unexplained {
         // That no named effect belongs to the cause: that none does in any piece with a gap.
         probability: detected.iter().map(|r| r.unexplained.probability).product::<f64>()
             * f64::from(u8::from(!detected.is_empty())),
-        share: {
-            let gap = (rows.refitted.mean_square() - 1.0).max(1e-12);
-            let left = (rows.with_effect.mean_square() - rows.black_box.mean_square()).max(0.0);
-            if detected.is_empty() || !left.is_finite() { 0.0 } else { (left / gap).min(1.0) }
-        },
+        share: if detected.is_empty() { 0.0 } else { rows.left() },
     };
     let outputs = |d: &Diagnosis| d.overlays.iter().map(|o| o.output.clone()).collect::<Vec<_>>();
     let open: Vec<String> = found.iter().filter(|d| nameless(&&&d.report)).flat_map(outputs).collect();
     let p_value = reports.iter().map(|r| r.gap.p_value).fold(1.0, f64::min) * reports.len() as f64;
-    let gap = Gap {
-        detected: !detected.is_empty(),
-        p_value: p_value.min(1.0),
-        score: rows.refitted.mean_square().sqrt(),
-    };
+    let gap = Gap { detected: !detected.is_empty(), p_value: p_value.min(1.0), score: how_far.refitted };
     let some_named = which.first().is_some_and(|w| !w.effects.is_empty());
     let not_tried: Vec<String> =
         reports.iter().filter_map(|r| r.interrupted.as_ref()).flat_map(|i| i.not_tried.clone()).collect();
@@ -221,21 +214,6 @@ fn combined(choices: &[Choice<'_>]) -> Which {
         effects: named.iter().flat_map(|w| w.effects.clone()).collect(),
         class,
         probability: choices.iter().map(Choice::probability).product(),
-    }
-}
-
-fn how_far(reports: &[&Report], rows: &Rows, seed: u64) -> HowFar {
-    let rms = |row: &Row| row.mean_square().sqrt();
-    HowFar {
-        horizon_s: reports.iter().map(|r| r.how_far.horizon_s).fold(0.0, f64::max),
-        nominal: rms(&rows.nominal),
-        refitted: rms(&rows.refitted),
-        with_effect: rms(&rows.with_effect),
-        black_box: rms(&rows.black_box),
-        noise_floor: 1.0,
-        closed_total: quantify::closed(&rows.nominal, &rows.with_effect, seed),
-        closed_by_effect: quantify::closed(&rows.refitted, &rows.with_effect, seed),
-        split: split(reports),
     }
 }
 

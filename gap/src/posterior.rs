@@ -59,6 +59,8 @@ pub struct Posterior {
     pub no_gap: f64,
     /// Probability that no named effect belongs to the cause.
     pub unexplained: f64,
+    /// Natural logarithm of the evidence for any gap against none, the alternatives weighed by their priors.
+    pub log_evidence: f64,
     residual_alone: Option<Fit>,
     residual_on_leader: Option<Fit>,
     judge: Judge,
@@ -157,6 +159,7 @@ pub fn weigh(
     let largest = logs.iter().copied().fold(log_null.max(log_unknown), f64::max);
     let total: f64 = logs.iter().chain([&log_null, &log_unknown]).map(|l| (l - largest).exp()).sum();
     let probability = |log: f64| (log - largest).exp() / total;
+    let of_a_gap: f64 = logs.iter().chain([&log_unknown]).map(|l| (l - largest).exp()).sum();
 
     let signatures: Vec<DVector<f64>> =
         fits.par_iter().map(|f| nuisance.project(&signature::of_fit(setup, null, f))).collect();
@@ -200,6 +203,7 @@ pub fn weigh(
         answers,
         no_gap: probability(log_null),
         unexplained: probability(log_unknown),
+        log_evidence: largest + of_a_gap.ln() - (1.0 - PRIOR_NO_GAP).ln(),
         residual_alone: alone,
         residual_on_leader: together,
         judge,

@@ -34,6 +34,7 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "DIR", default_value = "out/diagnosis")]
     out: PathBuf,
     /// Leave out what comes before, in seconds from each recording's first stamp: a take-off that the system cannot know.
+    /// What stamps and nodes of a recorded graph prove is still that of the whole recording.
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
     from: Option<f64>,
     /// Leave out what comes from there on, in seconds from each recording's first stamp.

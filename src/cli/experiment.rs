@@ -179,4 +179,9 @@ fn print(design: &Design, out: &Path, made_from: &MadeFrom) {
     let system = made_from.system.as_ref().map_or_else(String::new, |s| format!("--system {} ", s.display()));
     let first: Vec<String> = made_from.recordings.iter().map(|r| r.display().to_string()).collect();
     output::line(format!("then           parallax diagnose {system}{} NEW_RECORDING", first.join(" ")));
+    if made_from.from.is_some() || made_from.to.is_some() {
+        output::line(
+            "               the earlier recordings were cut by --from or --to, which would cut the new one as well",
+        );
+    }
 }

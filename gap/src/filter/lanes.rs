@@ -223,7 +223,7 @@ impl Kernel for CostAt<'_> {
                     }
                     deviation.copy_from_slice(&moved);
                 }
-                Tick::Read { by_state, seen, gain: stored, innovation, output, counts } => {
+                Tick::Read { by_state, seen, gain: stored, innovation, output, weighs } => {
                     let (mut noise, mut active) = (F64x16::splat(1.0), F64x16::splat(0.0));
                     for lane in (0..LANES).filter(|lane| output[*lane] != NOTHING) {
                         noise[lane] = self.output[output[lane] as usize];
@@ -244,7 +244,7 @@ impl Kernel for CostAt<'_> {
                         deviation[i] += Scalar::select(rests, zero, change);
                     }
                     update(n, &gain, variance, rests, &mut p);
-                    let ignored = <F64x16 as InMemory>::load::<S>(counts).eq(zero);
+                    let ignored = <F64x16 as InMemory>::load::<S>(weighs).eq(zero);
                     let term = innovation * innovation / variance + variance.ln();
                     cost += Scalar::select(ignored, zero, term);
                 }

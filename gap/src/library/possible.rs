@@ -45,8 +45,8 @@ pub fn is_possible(setup: &Setup, fit: &Fit) -> bool {
         let (low, high) = (value("low").unwrap_or(f64::NEG_INFINITY), value("high").unwrap_or(f64::INFINITY));
         match (at.effect, at.place.kind) {
             (Effect::Lag | Effect::LagSecondOrder, PlaceKind::Input) => {
-                let outputs = 0..setup.equations.system().outputs.len();
-                let shown = outputs.into_iter().any(|o| setup.equations.system().shows_command(o));
+                let system = setup.equations.system();
+                let shown = (0..system.outputs.len()).any(|output| system.shows(output, index));
                 let times = &setup.experiment.inputs[index].times;
                 let period = median(&mut times.windows(2).map(|w| w[1] - w[0]).collect::<Vec<_>>());
                 // The mean lag: the time constant, or 2ζ of them.

@@ -5,8 +5,8 @@ use parallax_model::effect::{Effect, PlaceKind};
 use crate::hypothesis::EffectAt;
 use crate::setup::Setup;
 
-/// Least part of a turn, or of a wave per unit, that must be covered to see what repeats with position.
-const LEAST_TURN: f64 = 0.25;
+/// Least part of a turn that must be covered to see what repeats with position: a wave of a motor with 24 a turn.
+const LEAST_TURN: f64 = 1.0 / 24.0;
 
 /// Least share of its mean by which a supply voltage must change.
 const LEAST_VOLTAGE: f64 = 0.005;
@@ -104,7 +104,7 @@ fn joint(setup: &Setup, effect: Effect, index: usize) -> Result<(), String> {
                 let name = system.states[state].name.as_str();
                 system.outputs.iter().filter(|o| o.value.text().trim() == name).all(|o| o.unit != "m")
             });
-            need(!rotates || turns >= LEAST_TURN, &format!("the log covers {turns:.2} turns"))
+            need(!rotates || turns >= LEAST_TURN, &format!("the log covers {turns:.3} turns"))
         }
         // Where the joint names its air, wind is a speed of that.
         Effect::Wind => need(system.joints[index].air.is_none(), "the joint names `air`"),

@@ -3,10 +3,11 @@
 use parallax_model::Scalar;
 use parallax_model::program::{Binary, Compare, Unary};
 
-/// An operation on slots. Masks are numbers: 1 where it holds, 0 where it does not.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// An operation on slots. Masks are numbers: 1 where it holds, 0 where it does not. Constants are their bits, so that
+/// equal steps can be found again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum Step {
-    Constant(f64),
+    Constant(u64),
     Unary(Unary, u32),
     Binary(Binary, u32, u32),
     Powi(u32, i32),
@@ -15,9 +16,9 @@ pub(super) enum Step {
 }
 
 /// What an operation does, whatever its operands.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
-    Constant(f64),
+    Constant(u64),
     Unary(Unary),
     Binary(Binary),
     Powi(i32),
@@ -28,7 +29,7 @@ enum Kind {
 impl Step {
     fn kind(&self) -> Kind {
         match *self {
-            Step::Constant(value) => Kind::Constant(value),
+            Step::Constant(bits) => Kind::Constant(bits),
             Step::Unary(f, _) => Kind::Unary(f),
             Step::Binary(f, ..) => Kind::Binary(f),
             Step::Powi(_, exponent) => Kind::Powi(exponent),
@@ -105,9 +106,9 @@ impl Batches {
                 };
             }
             match batch.kind {
-                Kind::Constant(value) => {
+                Kind::Constant(bits) => {
                     for [.., out] in all {
-                        slots[*out as usize] = T::constant(value);
+                        slots[*out as usize] = T::constant(f64::from_bits(bits));
                     }
                 }
                 Kind::Binary(Binary::Add) => each!(|a, b| a + b),

@@ -23,17 +23,6 @@ pub enum Rhythm {
     Moving,
 }
 
-/// A step that can be found again: numbers by their bits.
-#[derive(Clone, Copy, PartialEq, Eq, Hash)]
-enum Key {
-    Constant(u64),
-    Unary(Unary, u32),
-    Binary(Binary, u32, u32),
-    Powi(u32, i32),
-    Compare(Compare, u32, u32),
-    Select(u32, u32, u32),
-}
-
 /// A derivative: the number one, or what a slot holds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Entry {
@@ -96,7 +85,7 @@ struct Variable {
 struct Writer {
     nodes: Vec<Step>,
     rhythm: Vec<Rhythm>,
-    known: HashMap<Key, u32>,
+    known: HashMap<Step, u32>,
     first: usize,
 }
 
@@ -108,33 +97,20 @@ impl Writer {
             Step::Powi(a, 2) => Step::Binary(Binary::Mul, a, a),
             step => step,
         };
-        let key = match step {
-            Step::Constant(value) => Key::Constant(value.to_bits()),
-            Step::Unary(f, a) => Key::Unary(f, a),
-            Step::Binary(f, a, b) => Key::Binary(f, a, b),
-            Step::Powi(a, e) => Key::Powi(a, e),
-            Step::Compare(f, a, b) => Key::Compare(f, a, b),
-            Step::Select(m, a, b) => Key::Select(m, a, b),
-        };
-        if let Some(at) = self.known.get(&key) {
+        if let Some(at) = self.known.get(&step) {
             return *at;
         }
-        let of = |a: u32| self.rhythm[a as usize];
-        let rhythm = match step {
-            Step::Constant(_) => Rhythm::Fixed,
-            Step::Unary(_, a) | Step::Powi(a, _) => of(a),
-            Step::Binary(_, a, b) | Step::Compare(_, a, b) => of(a).max(of(b)),
-            Step::Select(m, a, b) => of(m).max(of(a)).max(of(b)),
-        };
+        let operands = step.operands().into_iter().flatten();
+        let rhythm = operands.map(|a| self.rhythm[a as usize]).max().unwrap_or(Rhythm::Fixed);
         let at = self.rhythm.len() as u32;
         self.nodes.push(step);
         self.rhythm.push(rhythm);
-        self.known.insert(key, at);
+        self.known.insert(step, at);
         at
     }
 
     fn constant(&mut self, value: f64) -> u32 {
-        self.push(Step::Constant(value))
+        self.push(Step::Constant(value.to_bits()))
     }
 
     fn binary(&mut self, f: Binary, a: u32, b: u32) -> u32 {
@@ -436,7 +412,7 @@ impl Writer {
             for at in order(&nodes, |at| self.nodes[at - self.first]) {
                 let to = |a: u32| place[a as usize];
                 let step = match self.nodes[at - self.first] {
-                    Step::Constant(value) => Step::Constant(value),
+                    Step::Constant(bits) => Step::Constant(bits),
                     Step::Unary(f, a) => Step::Unary(f, to(a)),
                     Step::Powi(a, e) => Step::Powi(to(a), e),
                     Step::Binary(f, a, b) => Step::Binary(f, to(a), to(b)),
