@@ -352,6 +352,7 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
     let shown = if detected && named { best } else { &null };
     let excess = with_effect.mean_square() - 1.0;
     let by_chance = black_box.mean_square() > CHANCE * with_effect.mean_square();
+    let mean_explained = with_effect.mean_square() < MEAN_EXPLAINED.powi(2) || (!detected && by_chance);
     let at_input = |r: &ReadingEffect| {
         by_chance
             && r.place.starts_with("input:")
@@ -363,7 +364,7 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
     };
     let causes: Vec<ReadingEffect> = readings
         .iter()
-        .filter(|r| r.significant && (at_input(r) || with_effect.mean_square() < MEAN_EXPLAINED.powi(2)))
+        .filter(|r| r.significant && (at_input(r) || mean_explained))
         // The corners of a clipped reading look like outliers and bad times.
         .filter(|r| !clipped(r) && !readings::is_trace(r, &readings))
         .cloned()

@@ -1,6 +1,7 @@
 //! The weights of the answers: evidence, tempered, gathered into classes that the data cannot tell apart.
 
 use nalgebra::DVector;
+use parallax_model::effect::PlaceKind;
 
 use crate::combine;
 use crate::hypothesis::{EffectAt, Slot};
@@ -185,7 +186,7 @@ pub fn weigh(
         for &k in &class {
             taken[k] = true;
         }
-        lead_with_the_simplest(&mut class, &fits, &judge);
+        lead_with_the_simplest(&mut class, &fits, &judge, &|fit| beyond_its_range(setup, fit));
         let members = class.iter().filter_map(|&k| {
             let at = fits[k].hypothesis.effects.first()?;
             Some((at.clone(), probability(logs[k]), share(&fits[k])))
@@ -248,16 +249,37 @@ fn gives_way(fit: &Fit, to: &Fit, judge: &Judge) -> bool {
     }
 }
 
+/// Whether it takes a calibrated parameter beyond the range that the system's file gives it.
+fn beyond_its_range(setup: &Setup, fit: &Fit) -> bool {
+    let calibrated = |name: &str| {
+        let mut parameters = setup.equations.system().parameters.iter();
+        parameters.any(|p| p.name == name && p.calibrate.is_some())
+    };
+    fit.hypothesis.effects.iter().any(|at| at.place.kind == PlaceKind::Parameter && calibrated(&at.place.key))
+}
+
 /// Puts the member to be named first: the simplest of those that the evidence does not tell apart from the best. One
 /// with fewer parameters may be a little worse, and where nothing reaches the noise by what the best one's form is off;
 /// of equally simple ones the first in the library's order, which puts commands before readings, only where the evidence
-/// is truly even.
-fn lead_with_the_simplest(class: &mut [usize], fits: &[Fit], judge: &Judge) {
+/// is truly even. What contradicts the system's file (`contradicts`) comes after all that does not.
+fn lead_with_the_simplest(
+    class: &mut [usize],
+    fits: &[Fit],
+    judge: &Judge,
+    contradicts: &dyn Fn(&Fit) -> bool,
+) {
     let cost = |k: usize| judge.cost(&fits[k]);
-    let Some(&best) = class.iter().min_by(|a, b| cost(**a).total_cmp(&cost(**b))) else { return };
+    let least = |all: &mut dyn Iterator<Item = usize>| all.min_by(|a, b| cost(*a).total_cmp(&cost(*b)));
+    let Some(first) = least(&mut class.iter().copied()) else { return };
+    let honest = least(&mut class.iter().copied().filter(|&k| !contradicts(&fits[k])))
+        .filter(|&k| cost(k) - cost(first) < EQUAL);
+    let best = honest.unwrap_or(first);
     let size = |k: usize| fits[k].hypothesis.fitted.len();
     let spare = has_spare(&fits[best]);
     let eligible = |k: usize| {
+        if honest.is_some() && contradicts(&fits[k]) {
+            return false;
+        }
         let worse = cost(k) - cost(best);
         let form = !judge.is_exact() && judge.beyond_form(&fits[best], &fits[k]) < 1.0;
         let gives_way = spare || form || gives_way(&fits[best], &fits[k], judge);
