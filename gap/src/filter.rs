@@ -13,6 +13,7 @@ mod lanes;
 
 use std::ops::Range;
 
+use nalgebra::{DMatrix, DVector};
 use parallax_model::lanes::{F64x16, Level};
 
 use crate::lockstep::{self, Lockstep, Stretch};
@@ -103,6 +104,9 @@ enum Tick {
         weighs: F64x16,
     },
 }
+
+/// Blocks of readings whose scores count as independent.
+const BLOCKS: usize = 60;
 
 /// A lane that reads nothing.
 const NOTHING: u8 = u8::MAX;
@@ -367,6 +371,25 @@ impl Pass {
                 information[j * p + i] = information[i * p + j];
             }
         }
+    }
+
+    /// Σ g gᵀ of the scores of successive blocks of readings, p × p: what the information would be if each block's
+    /// readings were as independent of each other as the likelihood believes.
+    #[must_use]
+    pub fn spread(&self) -> DMatrix<f64> {
+        let p = self.parameters;
+        let mut spread = DMatrix::<f64>::zeros(p, p);
+        let length = self.readings().div_ceil(BLOCKS).max(1);
+        for first in (0..self.readings()).step_by(length) {
+            let mut score = DVector::<f64>::zeros(p);
+            for k in (first..self.readings().min(first + length)).filter(|k| self.weighs[*k]) {
+                let row = &self.by_parameter[k * p..(k + 1) * p];
+                let weight = self.innovation[k] / self.variance[k];
+                score.iter_mut().zip(row).for_each(|(g, d)| *g += weight * d);
+            }
+            spread += &score * score.transpose();
+        }
+        spread
     }
 
     /// −2 log likelihood at another noise, around the walk that was linearised. Needs no model evaluation.

@@ -45,6 +45,18 @@ pub struct InnovationFit {
     pub evidence_cost: f64,
 }
 
+impl InnovationFit {
+    /// Standard deviations by the sandwich H⁻¹ (Σ g gᵀ) H⁻¹ over blocks of readings, as those of the windows, but no
+    /// smaller than the curvature alone gives: what a model lacks leaves innovations that resemble their neighbours.
+    #[must_use]
+    pub fn std(&self) -> Vec<f64> {
+        let plain = self.minimum.std();
+        let Some(inverse) = self.minimum.covariance() else { return plain };
+        let sandwich = &inverse * self.pass.spread() * &inverse;
+        plain.iter().enumerate().map(|(i, std)| sandwich[(i, i)].max(0.0).sqrt().max(*std)).collect()
+    }
+}
+
 /// Readings of each output from which a filter that starts in the middle of a segment learns the state.
 pub const SETTLING_READINGS: usize = 8;
 

@@ -30,6 +30,8 @@ pub struct Fit {
     pub output_errors: Vec<f64>,
     /// Standard deviations of the short windows' estimate, robust to residuals that are correlated within a window.
     shooting_std: Vec<f64>,
+    /// The same for the estimate by innovation likelihood, robust to innovations that are correlated.
+    innovation_std: Vec<f64>,
     /// How many independent readings one reading of the windows is worth, at most 1.
     pub independence: f64,
 }
@@ -68,7 +70,7 @@ impl Fit {
     /// Standard deviations of [`Fit::estimate`].
     #[must_use]
     pub fn std(&self) -> Vec<f64> {
-        if self.by_windows() { self.shooting_std.clone() } else { self.innovation.minimum.std() }
+        if self.by_windows() { self.shooting_std.clone() } else { self.innovation_std.clone() }
     }
 
     fn by_windows(&self) -> bool {
@@ -108,13 +110,14 @@ fn assemble(
     Fit {
         hypothesis,
         residuals,
-        innovation,
         shooting_cost: shot.cost,
         shooting_error: shot.error(setup),
         output_errors: shot.output_errors(),
         shooting_std: shot.std(),
+        innovation_std: innovation.std(),
         independence: shot.independence(),
         shooting: shot.minimum,
+        innovation,
     }
 }
 

@@ -71,8 +71,7 @@ fn noise_beyond_the_declared_is_found() {
             sample.value += 0.004 * z;
         }
     });
-    let truth = f64::hypot(0.004, NOISE);
-    let effect = is_alone(&experiment, true, "noise@output:angle", "std", truth);
+    let effect = is_alone(&experiment, true, "noise@output:angle", "std", 0.004);
     assert!(effect.share.is_some_and(|share| share > 0.95), "{effect:#?}");
     // Where none is declared there is nothing to exceed.
     assert!(significant(&examine(&equations(false), &experiment)).is_empty());

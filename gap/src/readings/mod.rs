@@ -39,7 +39,8 @@ pub fn believed(equations: &parallax_model::system::Equations, effects: &[Readin
     let outputs = equations.system().outputs.iter();
     outputs
         .map(|output| {
-            let noise = of(&output.name, "noise", "std").unwrap_or(0.0);
+            let beyond = of(&output.name, "noise", "std");
+            let noise = beyond.map_or(0.0, |beyond| beyond.hypot(output.noise.unwrap_or(0.0)));
             // Rounding to a lattice errs evenly over one step.
             let rounding = of(&output.name, "quantization", "step").unwrap_or(0.0) / 12.0_f64.sqrt();
             noise.hypot(rounding)

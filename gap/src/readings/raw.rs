@@ -205,8 +205,8 @@ fn log_normal(residual: f64, std: f64) -> f64 {
     -0.5 * (residual / std).powi(2) - (std * std::f64::consts::TAU.sqrt()).ln()
 }
 
-/// Noise beyond what is believed: a normal distribution of another width. Where there are outliers, those too small to
-/// be marked would widen it; the median does not see them.
+/// Noise beyond what is believed: a normal distribution of another width, of which the effect is what must be added. Where
+/// there are outliers, those too small to be marked would widen it; the median does not see them.
 fn excess(noise: &Noise, believed: f64, outliers: bool, place: &str, unit: &str) -> ReadingEffect {
     let learnt = &noise.residuals[..noise.learnt];
     let count = learnt.len() as f64;
@@ -222,8 +222,10 @@ fn excess(noise: &Noise, believed: f64, outliers: bool, place: &str, unit: &str)
     let without = noise.score(|r| log_normal(r, believed));
     let with = noise.score(|r| log_normal(r, at.value));
     let density = LogDensity { without, with, best: with.max(free(noise)) };
-    let value = Value { value: at.value, std: at.std, unit: unit.into() };
     let larger = at.value > LARGER * believed;
+    let added = (at.value * at.value - believed * believed).max(0.0).sqrt();
+    let std = if added > 0.0 { at.std * at.value / added } else { at.value };
+    let value = Value { value: added, std, unit: unit.into() };
     found("noise", place.into(), ("std", value), -2.0 * at.log_evidence, larger, density)
 }
 

@@ -36,7 +36,7 @@ impl Channel {
                 Kind::DelayIn => late += c.p[0],
                 Kind::SkewIn => late += c.p[0] * t,
                 Kind::EventDelay if (value - self.rest).abs() > c.p[1] => late += c.p[0],
-                Kind::JitterIn => late += c.p[0] * self.rng.sample::<f64, _>(StandardNormal).abs(),
+                Kind::JitterIn => late += scattered(c.p[0], &mut self.rng),
                 Kind::DropsIn => lost = lost || self.rng.random::<f64>() < c.p[0],
                 _ => {}
             }
@@ -66,6 +66,11 @@ impl Channel {
     }
 }
 
+/// A lateness with this standard deviation: half a normal distribution.
+fn scattered(spread: f64, rng: &mut ChaCha8Rng) -> f64 {
+    spread / (1.0 - 2.0 / std::f64::consts::PI).sqrt() * rng.sample::<f64, _>(StandardNormal).abs()
+}
+
 fn actuator(c: &Cause, state: &mut Option<[f64; 2]>, u: f64, rest: f64) -> f64 {
     let [a, b, ..] = c.p;
     let s = state.get_or_insert([u, 0.0]);
@@ -89,10 +94,15 @@ fn actuator(c: &Cause, state: &mut Option<[f64; 2]>, u: f64, rest: f64) -> f64 {
             s[0]
         }
         Kind::Lag if a > 0.0 => {
+            // What acts over a step is what the lag shows in its middle.
+            let before = s[0];
             s[0] += (u - s[0]) * (1.0 - (-H / a).exp());
-            s[0]
+            0.5 * (before + s[0])
         }
-        Kind::LagSecond if a > 0.0 => second_order(s, u, a, b),
+        Kind::LagSecond if a > 0.0 => {
+            let before = s[0];
+            0.5 * (before + second_order(s, u, a, b))
+        }
         _ => u,
     }
 }
@@ -142,7 +152,7 @@ pub(crate) fn show(
             match c.kind {
                 Kind::DelayOut => taken -= c.p[0],
                 Kind::SkewOut => taken -= c.p[0] * stamp,
-                Kind::JitterOut => taken -= c.p[0] * rng.sample::<f64, _>(StandardNormal).abs(),
+                Kind::JitterOut => taken -= scattered(c.p[0], rng),
                 Kind::DropsOut => lost = lost || (k > 0 && rng.random::<f64>() < c.p[0]),
                 _ => {}
             }
@@ -197,7 +207,8 @@ pub(crate) fn scatter(
             Kind::Stuck => {
                 let mut i = 1;
                 while i < readings.len() {
-                    if odd.random::<f64>() < a {
+                    // The rate is the share of readings that are old; a run has four and a half of them on average.
+                    if odd.random::<f64>() < a / (4.5 * (1.0 - a) + a) {
                         let until = (i + odd.random_range(2..8usize)).min(readings.len());
                         let old = readings[i - 1].1;
                         readings[i..until].iter_mut().for_each(|(_, y)| *y = old);

@@ -292,7 +292,7 @@ pub(crate) fn draw(system: &System, kind: Kind, place: Place, duration: f64, noi
     };
     let p = match kind {
         DelayIn | DelayOut => [(log(a, 0.005, 0.08) * 1e4).round() / 1e4, 0.0, 0.0, 0.0],
-        JitterIn | JitterOut => [log(a, 0.003, 0.02), 0.0, 0.0, 0.0],
+        JitterIn | JitterOut => [log(a, 0.002, 0.012), 0.0, 0.0, 0.0],
         DropsIn | DropsOut => [log(a, 0.02, 0.2), 0.0, 0.0, 0.0],
         // A command cannot act before it was sent.
         SkewIn => [log(a, 0.0005, 0.006), 0.0, 0.0, 0.0],
@@ -347,7 +347,7 @@ pub(crate) fn draw(system: &System, kind: Kind, place: Place, duration: f64, noi
         Drift => [sign * size * lin(a, 0.002, 0.02), 0.0, 0.0, 0.0],
         Outliers => [log(a, 0.005, 0.05), 0.0, 0.0, 0.0],
         SensorSaturation => [-size * lin(a, 0.3, 0.9), size * lin(b, 0.3, 0.9), 0.0, 0.0],
-        Stuck => [log(a, 0.005, 0.05), 0.0, 0.0, 0.0],
+        Stuck => [log(a, 0.02, 0.2), 0.0, 0.0, 0.0],
         Dahl => [size * log(a, 0.05, 0.5), range * log(b, 0.003, 0.05), 0.0, 0.0],
         LuGre => [size * lin(a, 0.05, 0.25), size * lin(b, 0.1, 0.4), speed * log(c, 0.02, 0.16), range * log(d, 0.002, 0.02)],
         Wall => [range * lin(a, -0.2, 0.4), size / range * log(b, 10.0, 60.0), duration * lin(c, 0.2, 0.4), duration * lin(d, 0.6, 0.9)],
