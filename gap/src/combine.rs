@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use crate::hypothesis::{EffectAt, Slot};
-use crate::judge::{Judge, WORTH};
+use crate::judge::{EVEN, Judge, WORTH};
 use crate::library;
 use crate::search::{Fit, Width, fit_all, fit_hypothesis};
 use crate::setup::Setup;
@@ -53,7 +53,7 @@ pub fn combinations(setup: &Setup, null: &Fit, fits: &[Fit], judge: &Judge) -> V
         if base.hypothesis.effects.len() < 2 {
             continue;
         }
-        let base = prune(setup, null, base, fits, judge);
+        let base = simplify(setup, null, prune(setup, null, base, fits, judge), judge);
         let known = |other: &Fit| same(&other.hypothesis.effects, &base.hypothesis.effects);
         if base.hypothesis.effects.len() > 1 && !found.iter().any(known) {
             found.push(base);
@@ -84,12 +84,15 @@ fn extend(setup: &Setup, base: &Fit, pool: &[EffectAt], judge: &Judge) -> Option
     }
     let fits = fit_all(setup, base, hypotheses, Width::FURTHER, &|_| ());
     let least = fits.iter().map(|fit| judge.cost(fit)).fold(f64::INFINITY, f64::min);
-    // Of those that the evidence does not tell apart, the simplest.
-    let even = fits.into_iter().filter(|fit| judge.cost(fit) < least + WORTH);
-    even.min_by(|a, b| {
-        let size = |fit: &Fit| fit.hypothesis.fitted.len();
-        size(a).cmp(&size(b)).then(judge.cost(a).total_cmp(&judge.cost(b)))
-    })
+    // Of those that the evidence does not tell apart, the simplest; of these the first in the library's order where it is
+    // truly even.
+    let even: Vec<Fit> = fits.into_iter().filter(|fit| judge.cost(fit) < least + WORTH).collect();
+    let size = |fit: &Fit| fit.hypothesis.fitted.len();
+    let smallest = even.iter().map(size).min()?;
+    let simplest: Vec<Fit> = even.into_iter().filter(|fit| size(fit) == smallest).collect();
+    let least = simplest.iter().map(|fit| judge.cost(fit)).fold(f64::INFINITY, f64::min);
+    let best = simplest.into_iter().filter(|fit| judge.cost(fit) < least + EVEN);
+    best.min_by(|a, b| a.hypothesis.effects.cmp(&b.hypothesis.effects))
 }
 
 /// How much of the base's squared innovations an effect's signature takes, at most: a score test.
@@ -120,6 +123,29 @@ fn prune(setup: &Setup, null: &Fit, mut fit: Fit, fits: &[Fit], judge: &Judge) -
         match best.filter(|best| !judge.is_worth(&fit, best)) {
             Some(simpler) => fit = simpler,
             None => break,
+        }
+    }
+    fit
+}
+
+/// Puts a simpler effect in the place of one that contains it, where that costs less than [`WORTH`].
+fn simplify(setup: &Setup, null: &Fit, mut fit: Fit, judge: &Judge) -> Fit {
+    for k in 0..fit.hypothesis.effects.len() {
+        for simpler in fit.hypothesis.effects[k].effect.simpler() {
+            if setup.stop.leaves_out(|| SEVERAL.into()) {
+                return fit;
+            }
+            let mut effects = fit.hypothesis.effects.clone();
+            effects[k].effect = *simpler;
+            let repeated = effects.iter().enumerate().any(|(i, at)| effects[..i].contains(at));
+            if repeated {
+                continue;
+            }
+            let other = fit_hypothesis(setup, null, library::hypothesis(setup, &effects));
+            if !judge.is_worth(&fit, &other) {
+                fit = other;
+                break;
+            }
         }
     }
     fit

@@ -5,6 +5,9 @@ use crate::search::{Fit, INEXACT};
 /// Gain in −2 log evidence that a further effect must bring.
 pub const WORTH: f64 = 10.0;
 
+/// Difference of −2 log evidence that says nothing.
+pub const EVEN: f64 = 1.0;
+
 /// Share of an output's squared error that a further effect must close where no hypothesis reaches the noise.
 const CLOSED: f64 = 0.4;
 

@@ -5,7 +5,7 @@ use parallax_model::effect::PlaceKind;
 
 use crate::combine;
 use crate::hypothesis::{EffectAt, Slot};
-use crate::judge::Judge;
+use crate::judge::{EVEN, Judge};
 use crate::options::Options;
 use crate::search::Fit;
 use crate::setup::Setup;
@@ -23,9 +23,6 @@ const PRIOR_UNKNOWN: f64 = 0.1;
 
 /// Prior probability that a cause has a further effect beside it, shared by all that it might be.
 const PRIOR_FURTHER: f64 = 0.3;
-
-/// Difference of −2 log evidence that says nothing.
-const EVEN: f64 = 1.0;
 
 /// Difference of −2 log evidence up to which the simpler of two effects with one signature is named.
 const EQUAL: f64 = 10.0;
@@ -176,11 +173,13 @@ pub fn weigh(
         let mut class: Vec<usize> = (first..fits.len())
             .filter(|&k| {
                 let near = judge.cost(&fits[k]) - judge.cost(&fits[first]) < DECISIVE;
-                let near = near || gives_way(&fits[first], &fits[k], &judge);
+                let alike = || near && signature::cosine(&signatures[first], &signatures[k]) > SAME;
                 let effects = |k: usize| fits[k].hypothesis.effects.len();
+                // What contains another is that one where it has something to spare, however little their signatures at
+                // standstill have in common.
                 !taken[k]
                     && effects(k) == effects(first)
-                    && (k == first || (near && signature::cosine(&signatures[first], &signatures[k]) > SAME))
+                    && (k == first || gives_way(&fits[first], &fits[k], &judge) || alike())
             })
             .collect();
         for &k in &class {
@@ -243,7 +242,8 @@ fn gives_way(fit: &Fit, to: &Fit, judge: &Judge) -> bool {
         ([own], [other]) => {
             own.place == other.place
                 && own.effect.simpler().contains(&other.effect)
-                && (has_spare(fit) || !judge.is_material(fit, to))
+                && (!judge.is_material(fit, to)
+                    || (has_spare(fit) && judge.cost(to) - judge.cost(fit) < 2.0 * DECISIVE))
         }
         _ => false,
     }

@@ -58,7 +58,8 @@ pub(super) fn stribeck<T: Scalar>(coulomb: T, extra: T, speed: T, motion: &Joint
 /// Friction of a gear, in proportion to what it transmits: F = −k |τ_drive − τ_load| sgn(v) (Duclusaud et al. 2024,
 /// "Extended friction models for the physics simulation of servo actuators", model M3).
 pub(super) fn load<T: Scalar>(ratio: T, motion: &JointMotion<T>) -> Option<T> {
-    let transmitted = (motion.drive? - motion.load?).abs();
+    let load = motion.load.unwrap_or_else(|| T::constant(0.0));
+    let transmitted = (motion.drive? - load).abs();
     Some(-(ratio * transmitted * motion.direction()))
 }
 
@@ -133,6 +134,9 @@ mod tests {
         assert!((stribeck(0.3, 0.2, 0.5, &moving(0.01)) + 0.5).abs() < 1e-3);
         assert!((stribeck(0.3, 0.2, 0.5, &moving(0.5)) + 0.3 + 0.2 * (-1.0_f64).exp()).abs() < 1e-12);
         assert!((stribeck(0.3, 0.2, 0.5, &moving(5.0)) + 0.3).abs() < 1e-12);
-        assert!(load(0.1, &JointMotion { load: None, ..moving(1.0) }).is_none());
+        assert!(load(0.1, &JointMotion { drive: None, ..moving(1.0) }).is_none());
+        // Without a load the gear transmits the drive.
+        let free = JointMotion { load: None, ..moving(1.0) };
+        assert_eq!(load(0.1, &free), load(0.1, &JointMotion { load: Some(0.0), ..moving(1.0) }));
     }
 }

@@ -317,6 +317,8 @@ impl Effect {
             Effect::SaturationSoft => &[Effect::Saturation],
             Effect::Stribeck | Effect::AsymmetricFriction => &[Effect::Coulomb],
             Effect::AsymmetricViscous => &[Effect::Viscous],
+            // A soft spring that rests far away.
+            Effect::Spring => &[Effect::ConstantForce],
             _ => &[],
         }
     }

@@ -173,10 +173,8 @@ impl Joint {
         self.entry()?;
         let needs = |present: bool, reason| if present { Ok(()) } else { Err(reason) };
         match effect {
-            Effect::LoadFriction => {
-                needs(self.drive.is_some(), "the joint names no `drive`")?;
-                needs(self.load.is_some(), "the joint names no `load`")
-            }
+            // Where there is no load, the gear transmits the drive.
+            Effect::LoadFriction => needs(self.drive.is_some(), "the joint names no `drive`"),
             Effect::GravityTilt => {
                 needs(self.load.is_some(), "the joint names no `load`")?;
                 needs(self.position_state.is_some(), "the joint's `position` is not a state")
