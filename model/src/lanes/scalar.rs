@@ -104,7 +104,11 @@ macro_rules! circular {
             on_circle = V::and(on_circle, functions::on_circle(x.0[k]));
         }
         let near = map!(x, register => functions::$near(register));
-        if V::all(on_circle) { near } else { large_angles(x, near, $exact) }
+        if V::all(on_circle) {
+            near
+        } else {
+            zip!(x, near, (x, near) => large_angles(x, near, $exact))
+        }
     }};
 }
 
@@ -150,17 +154,17 @@ impl<V: Vector, const K: usize> Lanes<V, K> {
     }
 }
 
-/// `exact` in the lanes whose angles are too large; `near` in the others, so that lanes do not mix.
+/// `exact` in the lanes whose angles are too large; `near` in the others, so that lanes do not mix. Register by register:
+/// lanes as a whole would be passed in memory, also where the angles are not too large.
 #[cold]
 #[inline(never)]
-fn large_angles<V: Vector, const K: usize>(
-    x: Lanes<V, K>,
-    near: Lanes<V, K>,
-    exact: fn(f64) -> f64,
-) -> Lanes<V, K> {
-    zip!(x, near, (x, near) => x.each_pair(near, |x, near| {
-        if functions::on_circle(x) { near } else { V::Element::from_f64(exact(x.to_f64())) }
-    }))
+fn large_angles<V: Vector>(x: V, near: V, exact: fn(f64) -> f64) -> V {
+    x.each_pair(
+        near,
+        |x, near| {
+            if functions::on_circle(x) { near } else { V::Element::from_f64(exact(x.to_f64())) }
+        },
+    )
 }
 
 impl<V: Vector, const K: usize> Scalar for Lanes<V, K> {
@@ -240,7 +244,7 @@ impl<V: Vector, const K: usize> Scalar for Lanes<V, K> {
     }
     #[inline(always)]
     fn sign(self) -> Self {
-        map!(self, x => functions::sign(x))
+        map!(self, x => x.sign())
     }
     #[inline(always)]
     fn floor(self) -> Self {

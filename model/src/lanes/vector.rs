@@ -1,6 +1,6 @@
 //! What a machine computes with at once: a register of some lanes, or one number as a register of one lane.
 
-use super::Element;
+use super::{Element, functions};
 
 /// A register. The operations are those of [`Element`], on every lane.
 ///
@@ -31,6 +31,9 @@ pub trait Vector: Copy + Send + Sync + 'static {
     fn floor(self) -> Self;
     /// The magnitude of `self` with the sign of `sign`.
     fn copysign(self, sign: Self) -> Self;
+
+    /// −1, 0 or 1; what is not a number stays so.
+    fn sign(self) -> Self;
 
     /// `self < other`
     fn lt(self, other: Self) -> Self::Mask;
@@ -111,6 +114,10 @@ macro_rules! vector {
             #[inline(always)]
             fn copysign(self, sign: Self) -> Self {
                 $float::copysign(self, sign)
+            }
+            #[inline(always)]
+            fn sign(self) -> Self {
+                functions::sign(self)
             }
             #[inline(always)]
             fn lt(self, other: Self) -> bool {

@@ -7,7 +7,7 @@ use std::arch::x86_64::*;
 use std::mem::transmute;
 
 use super::vector::Vector;
-use super::{F32x32, F64x16, Kernel, Lanes, Simd};
+use super::{F32x32, F64x16, Kernel, Lanes, Simd, functions};
 
 /// 128 bits, on every machine.
 #[derive(Clone, Copy, Debug)]
@@ -98,7 +98,7 @@ macro_rules! register {
         and $and:ident, andnot $andnot:ident, or $or:ident, xor $xor:ident,
         int_add $int_add:ident, int_sub $int_sub:ident, shl $shl:ident, shr $shr:ident, sign $sign:literal,
         to_int $to_int:ident, to_float $to_float:ident,
-        floor $floor:ident,
+        floor $floor:ident, signum $signum:path,
         mask $mask:ty, lt $lt:ident, le $le:ident, eq $eq:ident,
         mask_and $mask_and:ident, mask_or $mask_or:ident, mask_not $mask_not:ident, all $all:ident, select $select:ident
     ) => {
@@ -146,6 +146,11 @@ macro_rules! register {
             #[inline(always)]
             fn copysign(self, sign: Self) -> Self {
                 unsafe { $or($andnot($splat(-0.0), self), $and($splat(-0.0), sign)) }
+            }
+            #[inline(always)]
+            #[allow(unused_unsafe, reason = "some need none")]
+            fn sign(self) -> Self {
+                unsafe { $signum(self) }
             }
             #[inline(always)]
             fn lt(self, other: Self) -> $mask {
@@ -280,8 +285,14 @@ helpers! {
     select_pd512(m: u8, a: __m512d, b: __m512d) -> __m512d = _mm512_mask_blend_pd(m, b, a);
     select_ps512(m: u16, a: __m512, b: __m512) -> __m512 = _mm512_mask_blend_ps(m, b, a);
     floor_pd512(a: __m512d) -> __m512d = _mm512_roundscale_pd::<{ _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC }>(a);
+    sign_pd512(a: __m512d) -> __m512d = _mm512_fixupimm_pd::<0>(a, a, _mm512_set1_epi64(SIGN as i64));
+    sign_ps512(a: __m512) -> __m512 = _mm512_fixupimm_ps::<0>(a, a, _mm512_set1_epi32(SIGN as i32));
     floor_ps512(a: __m512) -> __m512 = _mm512_roundscale_ps::<{ _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC }>(a);
 }
+
+/// What `fixupimm` puts for a number of each class, four bits a class from the lowest: itself for the two kinds of what is
+/// not a number, 0 for ±0, 1 for 1, −1 for −∞, 1 for ∞, −1 below and 1 above zero.
+const SIGN: u32 = 0xA9A9_A811;
 
 register! {
     __m128d of f64, i64, compiled compiled_sse2, mantissa 52, bias 1023;
@@ -290,7 +301,7 @@ register! {
     and _mm_and_pd, andnot _mm_andnot_pd, or _mm_or_pd, xor _mm_xor_pd,
     int_add _mm_add_epi64, int_sub _mm_sub_epi64, shl _mm_slli_epi64, shr _mm_srli_epi64, sign 63,
     to_int _mm_castpd_si128, to_float _mm_castsi128_pd,
-    floor floor_pd,
+    floor floor_pd, signum functions::sign,
     mask __m128d, lt _mm_cmplt_pd, le _mm_cmple_pd, eq _mm_cmpeq_pd,
     mask_and _mm_and_pd, mask_or _mm_or_pd, mask_not not_pd, all all_pd, select select_pd
 }
@@ -302,7 +313,7 @@ register! {
     and _mm_and_ps, andnot _mm_andnot_ps, or _mm_or_ps, xor _mm_xor_ps,
     int_add _mm_add_epi32, int_sub _mm_sub_epi32, shl _mm_slli_epi32, shr _mm_srli_epi32, sign 31,
     to_int _mm_castps_si128, to_float _mm_castsi128_ps,
-    floor floor_ps,
+    floor floor_ps, signum functions::sign,
     mask __m128, lt _mm_cmplt_ps, le _mm_cmple_ps, eq _mm_cmpeq_ps,
     mask_and _mm_and_ps, mask_or _mm_or_ps, mask_not not_ps, all all_ps, select select_ps
 }
@@ -314,7 +325,7 @@ register! {
     and _mm256_and_pd, andnot _mm256_andnot_pd, or _mm256_or_pd, xor _mm256_xor_pd,
     int_add _mm256_add_epi64, int_sub _mm256_sub_epi64, shl _mm256_slli_epi64, shr _mm256_srli_epi64, sign 63,
     to_int _mm256_castpd_si256, to_float _mm256_castsi256_pd,
-    floor _mm256_floor_pd,
+    floor _mm256_floor_pd, signum functions::sign,
     mask __m256d, lt lt_pd256, le le_pd256, eq eq_pd256,
     mask_and _mm256_and_pd, mask_or _mm256_or_pd, mask_not not_pd256, all all_pd256, select select_pd256
 }
@@ -326,7 +337,7 @@ register! {
     and _mm256_and_ps, andnot _mm256_andnot_ps, or _mm256_or_ps, xor _mm256_xor_ps,
     int_add _mm256_add_epi32, int_sub _mm256_sub_epi32, shl _mm256_slli_epi32, shr _mm256_srli_epi32, sign 31,
     to_int _mm256_castps_si256, to_float _mm256_castsi256_ps,
-    floor _mm256_floor_ps,
+    floor _mm256_floor_ps, signum functions::sign,
     mask __m256, lt lt_ps256, le le_ps256, eq eq_ps256,
     mask_and _mm256_and_ps, mask_or _mm256_or_ps, mask_not not_ps256, all all_ps256, select select_ps256
 }
@@ -338,7 +349,7 @@ register! {
     and _mm512_and_pd, andnot _mm512_andnot_pd, or _mm512_or_pd, xor _mm512_xor_pd,
     int_add _mm512_add_epi64, int_sub _mm512_sub_epi64, shl _mm512_slli_epi64, shr _mm512_srli_epi64, sign 63,
     to_int _mm512_castpd_si512, to_float _mm512_castsi512_pd,
-    floor floor_pd512,
+    floor floor_pd512, signum sign_pd512,
     mask u8, lt lt_pd512, le le_pd512, eq eq_pd512,
     mask_and and_8, mask_or or_8, mask_not not_8, all all_8, select select_pd512
 }
@@ -350,7 +361,7 @@ register! {
     and _mm512_and_ps, andnot _mm512_andnot_ps, or _mm512_or_ps, xor _mm512_xor_ps,
     int_add _mm512_add_epi32, int_sub _mm512_sub_epi32, shl _mm512_slli_epi32, shr _mm512_srli_epi32, sign 31,
     to_int _mm512_castps_si512, to_float _mm512_castsi512_ps,
-    floor floor_ps512,
+    floor floor_ps512, signum sign_ps512,
     mask u16, lt lt_ps512, le le_ps512, eq eq_ps512,
     mask_and and_16, mask_or or_16, mask_not not_16, all all_16, select select_ps512
 }
