@@ -129,10 +129,10 @@ pub struct Output<T> {
     pub attitude: Attitude<T>,
 }
 
-/// Total thrust of the four rotors along the body's z axis, N: `c_m Ω + d_m Θ`.
+/// Total thrust of the four rotors along the body's z axis at the thrust state Ω, N: `c_m Ω + d_m Θ`.
 #[inline(always)]
-pub fn thrust<T: Scalar>(p: &Params<T>, x: &State<T>, u: &Input<T>) -> T {
-    p.thrust_state * x.thrust + p.thrust_direct * u.pwm
+pub fn thrust<T: Scalar>(p: &Params<T>, state: T, pwm: T) -> T {
+    p.thrust_state * state + p.thrust_direct * pwm
 }
 
 /// The motor signal that carries the weight of a level quadrotor at rest, counts: with `Ω = −b_m Θ/a_m` the thrust is
@@ -159,10 +159,19 @@ pub fn rotor_speed<T: Scalar>(p: &Params<T>, thrust: T) -> T {
 /// The rows of the rotation from the body's to the world's frame.
 #[inline(always)]
 pub fn rotation<T: Scalar>(a: &Attitude<T>) -> [[T; 3]; 3] {
-    // Calls of their own: with all six inside, the derivative would be too large to be inlined into a kernel.
-    let (sr, cr) = T::compiled(|| (a.roll.sin(), a.roll.cos()));
-    let (sp, cp) = T::compiled(|| (a.pitch.sin(), a.pitch.cos()));
-    let (sy, cy) = T::compiled(|| (a.yaw.sin(), a.yaw.cos()));
+    rotation_towards(a.roll, a.pitch, sine_and_cosine(a.yaw))
+}
+
+/// A call of its own: with all six inside, the derivative would be too large to be inlined into a kernel.
+#[inline(always)]
+fn sine_and_cosine<T: Scalar>(angle: T) -> (T, T) {
+    T::compiled(|| (angle.sin(), angle.cos()))
+}
+
+/// As [`rotation`], from the yaw's sine and cosine.
+#[inline(always)]
+fn rotation_towards<T: Scalar>(roll: T, pitch: T, (sy, cy): (T, T)) -> [[T; 3]; 3] {
+    let ((sr, cr), (sp, cp)) = (sine_and_cosine(roll), sine_and_cosine(pitch));
     [
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
         [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
@@ -176,33 +185,66 @@ fn dot<T: Scalar>(a: [T; 3], b: [T; 3]) -> T {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
+/// The state without the yaw, which keeps its value: its sine and cosine are those of the whole step.
+#[derive(Tree, Clone, Copy, Debug, PartialEq)]
+struct Moving<T> {
+    position: Vector<T>,
+    velocity: Vector<T>,
+    roll: T,
+    pitch: T,
+    thrust: T,
+}
+
+impl<T: Scalar> Moving<T> {
+    #[inline(always)]
+    fn of(State { position, velocity, attitude: Attitude { roll, pitch, .. }, thrust }: &State<T>) -> Self {
+        Self { position: *position, velocity: *velocity, roll: *roll, pitch: *pitch, thrust: *thrust }
+    }
+
+    #[inline(always)]
+    fn with_yaw(self, yaw: T) -> State<T> {
+        let Moving { position, velocity, roll, pitch, thrust } = self;
+        State { position, velocity, attitude: Attitude { roll, pitch, yaw }, thrust }
+    }
+
+    /// The time derivative, with the yaw's sine and cosine.
+    #[inline(always)]
+    fn derivative(&self, p: &Params<T>, yaw: (T, T), u: &Input<T>) -> Self {
+        let thrust = thrust(p, self.thrust, u.pwm);
+        let speed = rotor_speed(p, thrust);
+        let r = rotation_towards(self.roll, self.pitch, yaw);
+        let v = [self.velocity.x, self.velocity.y, self.velocity.z];
+        // The columns of the rotation are the body's axes.
+        let body = [
+            dot([r[0][0], r[1][0], r[2][0]], v),
+            dot([r[0][1], r[1][1], r[2][1]], v),
+            dot([r[0][2], r[1][2], r[2][2]], v),
+        ];
+        let force =
+            [-p.drag_xy * speed * body[0], -p.drag_xy * speed * body[1], thrust - p.drag_z * speed * body[2]];
+        let acceleration = [dot(r[0], force) / p.mass, dot(r[1], force) / p.mass, dot(r[2], force) / p.mass];
+        let attitude_rate = p.attitude_gain / p.attitude_time;
+        Self {
+            position: self.velocity,
+            velocity: Vector { x: acceleration[0], y: acceleration[1], z: acceleration[2] - GRAVITY },
+            roll: (u.roll - self.roll) * attitude_rate,
+            pitch: (u.pitch - self.pitch) * attitude_rate,
+            thrust: p.motor_rate * self.thrust + p.motor_gain * u.pwm,
+        }
+    }
+}
+
 /// The time derivative of the state.
 #[inline(always)]
 pub fn derivative<T: Scalar>(p: &Params<T>, x: &State<T>, u: &Input<T>) -> State<T> {
-    let thrust = thrust(p, x, u);
-    let speed = rotor_speed(p, thrust);
-    let r = rotation(&x.attitude);
-    let v = [x.velocity.x, x.velocity.y, x.velocity.z];
-    // The columns of the rotation are the body's axes.
-    let body = [
-        dot([r[0][0], r[1][0], r[2][0]], v),
-        dot([r[0][1], r[1][1], r[2][1]], v),
-        dot([r[0][2], r[1][2], r[2][2]], v),
-    ];
-    let force =
-        [-p.drag_xy * speed * body[0], -p.drag_xy * speed * body[1], thrust - p.drag_z * speed * body[2]];
-    let acceleration = [dot(r[0], force) / p.mass, dot(r[1], force) / p.mass, dot(r[2], force) / p.mass];
-    let attitude_rate = p.attitude_gain / p.attitude_time;
-    State {
-        position: x.velocity,
-        velocity: Vector { x: acceleration[0], y: acceleration[1], z: acceleration[2] - GRAVITY },
-        attitude: Attitude {
-            roll: (u.roll - x.attitude.roll) * attitude_rate,
-            pitch: (u.pitch - x.attitude.pitch) * attitude_rate,
-            yaw: T::constant(0.0),
-        },
-        thrust: p.motor_rate * x.thrust + p.motor_gain * u.pwm,
-    }
+    Moving::of(x).derivative(p, sine_and_cosine(x.attitude.yaw), u).with_yaw(T::constant(0.0))
+}
+
+/// The state after one step of `dt` seconds of the integrator under a constant input.
+#[inline(always)]
+pub fn step<T: Scalar>(p: &Params<T>, x: State<T>, u: Input<T>, dt: T) -> State<T> {
+    let yaw = sine_and_cosine(x.attitude.yaw);
+    rk4(|x: &Moving<T>| x.derivative(p, yaw, &u), Moving::of(&x), dt).with_yaw(x.attitude.yaw)
 }
 
 /// The quadrotor as a [`Model`].
@@ -218,7 +260,7 @@ impl Model for Quadrotor {
 
     #[inline(always)]
     fn step<T: Scalar>(p: &Params<T>, x: State<T>, u: Input<T>, dt: T) -> (State<T>, Output<T>) {
-        let x = rk4(|x: &State<T>| derivative(p, x, &u), x, dt);
+        let x = step(p, x, u, dt);
         (x, Output { position: x.position, attitude: x.attitude })
     }
 }
