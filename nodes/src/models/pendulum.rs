@@ -9,7 +9,7 @@
 //! `u K/R` is the torque of the motor at rest, `θ̇ K²/R` what its back electromotive force takes from it. Integrated with
 //! the Runge–Kutta method of fourth order, in steps of [`STEP`].
 
-use parallax_model::integrate::rk4;
+use parallax_model::integrate::{Length, Slope, rk4_inlined};
 use parallax_model::{Model, Scalar, Tree};
 
 /// Gravitational acceleration, m/s².
@@ -74,16 +74,69 @@ pub struct Output<T> {
     pub angle: T,
 }
 
+/// What the equation of motion needs of the parameters.
+#[derive(Tree, Clone, Copy, Debug, PartialEq)]
+pub struct Constants<T> {
+    /// 1/J, 1/(kg m²).
+    pub per_inertia: T,
+    /// Torque at rest for each volt K/R, N m/V.
+    pub motor: T,
+    /// Largest torque of the weight m g l, N m.
+    pub gravity: T,
+    /// Viscous friction and back electromotive force b + K²/R, N m s/rad.
+    pub viscous: T,
+    /// Coulomb friction c, N m.
+    pub friction: T,
+}
+
+impl<T: Scalar> Constants<T> {
+    /// Of a pendulum with these parameters.
+    #[inline(always)]
+    pub fn new(p: &Params<T>) -> Self {
+        let motor = p.motor / p.resistance;
+        Self {
+            per_inertia: T::constant(1.0) / p.inertia,
+            motor,
+            gravity: p.mass * p.length * GRAVITY,
+            viscous: p.damping + p.motor * motor,
+            friction: p.friction,
+        }
+    }
+
+    /// The time derivative of the state.
+    #[inline(always)]
+    pub fn derivative(&self, x: &State<T>, u: &Input<T>) -> State<T> {
+        let constant = u.voltage * self.motor;
+        let gravity = self.gravity * x.angle.sin();
+        let viscous = x.speed * self.viscous;
+        let coulomb = self.friction * x.speed.sign();
+        State { angle: x.speed, speed: (constant + gravity - viscous - coulomb) * self.per_inertia }
+    }
+
+    /// The state after one step of the integrator under a constant input.
+    #[inline(always)]
+    pub fn step(&self, x: State<T>, u: Input<T>, length: &Length<T>) -> State<T> {
+        rk4_inlined(&Driven { constants: *self, input: u }, x, length)
+    }
+}
+
+/// A pendulum under a constant input.
+struct Driven<T> {
+    constants: Constants<T>,
+    input: Input<T>,
+}
+
+impl<T: Scalar> Slope<State<T>> for Driven<T> {
+    #[inline(always)]
+    fn slope(&self, x: &State<T>) -> State<T> {
+        self.constants.derivative(x, &self.input)
+    }
+}
+
 /// The time derivative of the state.
 #[inline(always)]
 pub fn derivative<T: Scalar>(p: &Params<T>, x: &State<T>, u: &Input<T>) -> State<T> {
-    // What the state does not enter is divided once for the four derivatives of a Runge–Kutta step.
-    let (per_inertia, motor) = (T::constant(1.0) / p.inertia, p.motor / p.resistance);
-    let constant = u.voltage * motor;
-    let gravity = p.mass * p.length * GRAVITY * x.angle.sin();
-    let viscous = x.speed * (p.damping + p.motor * motor);
-    let coulomb = p.friction * x.speed.sign();
-    State { angle: x.speed, speed: (constant + gravity - viscous - coulomb) * per_inertia }
+    Constants::new(p).derivative(x, u)
 }
 
 /// Kinetic and potential energy, J; the potential is zero at the height of the shaft.
@@ -105,7 +158,7 @@ impl Model for Pendulum {
 
     #[inline(always)]
     fn step<T: Scalar>(p: &Params<T>, x: State<T>, u: Input<T>, dt: T) -> (State<T>, Output<T>) {
-        let x = rk4(|x: &State<T>| derivative(p, x, &u), x, dt);
+        let x = Constants::new(p).step(x, u, &Length::new(dt));
         (x, Output { angle: x.angle })
     }
 }
