@@ -51,6 +51,12 @@ pub trait Scalar:
 
     /// A number that depends on nothing.
     fn constant(value: f64) -> Self;
+    /// The same number, read by the machine's own instructions. Lanes that are only handed on are otherwise copied as
+    /// memory, through every struct on their way.
+    #[inline(always)]
+    fn loaded(&self) -> Self {
+        *self
+    }
 
     /// Sine of an angle in radians.
     fn sin(self) -> Self;

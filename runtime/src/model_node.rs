@@ -93,8 +93,11 @@ impl ModelKind {
     /// As [`start`](Self::start).
     pub fn node(&self, context: &NodeContext) -> Result<ModelNode, NodeError> {
         let ModelStart { params, state } = self.start(context)?;
+        let mut prepared = vec![0.0; self.model.prepared()];
+        self.model.prepare_f64(&params, &mut prepared);
         Ok(ModelNode {
             model: Arc::clone(&self.model),
+            prepared: prepared.into(),
             params: params.into(),
             state: state.into(),
             noise: vec![0.0; self.model.noise()].into(),
@@ -108,6 +111,7 @@ impl ModelKind {
 pub struct ModelNode {
     model: Arc<dyn ErasedModel>,
     params: Box<[f64]>,
+    prepared: Box<[f64]>,
     state: Box<[f64]>,
     noise: Box<[f64]>,
     random: ChaCha8Rng,
@@ -149,7 +153,7 @@ impl ErasedNode for ModelNode {
         }
         let windows = Windows(step.inputs());
         let times = [step.seq as f64, to_seconds(step.due), to_seconds(step.start)];
-        let step = NodeStep::new(times, &self.noise, &windows);
+        let step = NodeStep::new(times, &self.noise, &windows).with_prepared(&self.prepared);
         self.model.step_f64(&self.params, &mut self.state, &step, &mut self.scratch, output);
         Ok(())
     }

@@ -84,6 +84,20 @@ macro_rules! in_memory {
 in_memory!(F64x16);
 in_memory!(F32x32);
 
+/// One number: its own register on every machine.
+impl InMemory for f64 {
+    type On<S: Simd> = f64;
+
+    #[inline(always)]
+    fn registers<S: Simd>(lanes: &[Self]) -> &[f64] {
+        lanes
+    }
+    #[inline(always)]
+    fn registers_mut<S: Simd>(lanes: &mut [Self]) -> &mut [f64] {
+        lanes
+    }
+}
+
 const fn same_layout<A, B>() -> bool {
     size_of::<A>() == size_of::<B>() && align_of::<A>() == align_of::<B>()
 }

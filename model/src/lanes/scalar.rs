@@ -174,6 +174,15 @@ impl<V: Vector, const K: usize> Scalar for Lanes<V, K> {
         Self([V::splat(V::Element::from_f64(value)); K])
     }
     #[inline(always)]
+    #[allow(clippy::manual_memcpy, reason = "a copy as memory is what this is to avoid")]
+    fn loaded(&self) -> Self {
+        let mut registers = [self.0[0]; K];
+        for k in 1..K {
+            registers[k] = self.0[k];
+        }
+        Self(registers)
+    }
+    #[inline(always)]
     fn sin(self) -> Self {
         circular!(self, sin, f64::sin)
     }

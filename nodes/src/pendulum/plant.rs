@@ -2,14 +2,15 @@
 //!
 //! Message k is the state at tick k, before the commands seen then act; they hold until the next tick.
 
+use parallax_model::integrate::Length;
 use parallax_model::node_model::{NodeModel, NodeStep};
-use parallax_model::{Model, Scalar, Tree};
+use parallax_model::{Scalar, Tree};
 use parallax_runtime::node::Port;
 use parallax_runtime::registry::NodeKind;
 use serde::Deserialize;
 
 use super::messages::{Voltage, WorldState};
-use crate::models::pendulum::{Input, Params, Pendulum, State};
+use crate::models::pendulum::{Constants, Input, Params, State};
 
 /// The commands.
 pub const MOTOR: Port<Voltage> = Port::new("motor");
@@ -21,6 +22,13 @@ pub struct Parameters<T = f64> {
     pub pendulum: Params<T>,
     /// Time from tick to tick, s: the integration step.
     pub period: T,
+}
+
+/// What a step needs of the parameters.
+#[derive(Tree, Clone, Copy, Debug, PartialEq)]
+struct Prepared<T> {
+    pendulum: Constants<T>,
+    period: Length<T>,
 }
 
 /// What may stand in a graph: constants that differ from the nominal ones, and the first state.
@@ -67,19 +75,27 @@ pub fn kind() -> NodeKind {
 
 impl NodeModel for Plant {
     const NAME: &'static str = "plant";
+    const PREPARED: usize = <Prepared<f64> as Tree<f64>>::LEAVES;
+
     type Params<T: Scalar> = Parameters<T>;
     type State<T: Scalar> = State<T>;
     type Output<T: Scalar> = WorldState<T>;
 
     #[inline(always)]
+    fn prepare<T: Scalar>(p: &Parameters<T>, prepared: &mut [T]) {
+        Prepared { pendulum: Constants::new(&p.pendulum), period: Length::new(p.period) }.write_to(prepared);
+    }
+
+    #[inline(always)]
     fn step<T: Scalar>(
-        p: &Parameters<T>,
+        _: &Parameters<T>,
         state: State<T>,
         step: &NodeStep<'_, T>,
     ) -> (State<T>, WorldState<T>) {
         let voltage = step.latest::<Voltage<T>>(MOTOR.name()).message.voltage;
         let shown = WorldState { angle: state.angle, speed: state.speed, stamp: step.due };
-        let (next, _) = Pendulum::step(&p.pendulum, state, Input { voltage }, p.period);
+        let Prepared { pendulum, period } = Prepared::read_from(step.prepared);
+        let next = pendulum.step(state, Input { voltage }, &period);
         (next, shown)
     }
 }

@@ -3,13 +3,13 @@
 //! Message k is the state at tick k, before the commands seen then act; they hold until the next tick.
 
 use parallax_model::node_model::{NodeModel, NodeStep};
-use parallax_model::{Model, Scalar, Tree};
+use parallax_model::{Scalar, Tree};
 use parallax_runtime::node::Port;
 use parallax_runtime::registry::NodeKind;
 use serde::Deserialize;
 
 use super::messages::{Command, Motion};
-use crate::models::quadrotor::{Attitude, Input, Params, Quadrotor, State, Vector, hover_pwm};
+use crate::models::quadrotor::{self, Attitude, Input, Params, State, Vector, hover_pwm};
 
 /// The commands.
 pub const PID: Port<Command> = Port::new("pid");
@@ -65,16 +65,23 @@ pub fn kind() -> NodeKind {
 
 impl NodeModel for Plant {
     const NAME: &'static str = "plant";
+    const PREPARED: usize = 1;
+
     type Params<T: Scalar> = Parameters<T>;
     type State<T: Scalar> = State<T>;
     type Output<T: Scalar> = Motion<T>;
+
+    #[inline(always)]
+    fn prepare<T: Scalar>(p: &Parameters<T>, prepared: &mut [T]) {
+        prepared[0] = hover_pwm(&p.quadrotor);
+    }
 
     #[inline(always)]
     fn step<T: Scalar>(p: &Parameters<T>, state: State<T>, step: &NodeStep<'_, T>) -> (State<T>, Motion<T>) {
         let seen = step.latest::<Command<T>>(PID.name());
         let command = seen.message;
         // Before the first command the rotors carry its weight.
-        let pwm = T::select(seen.was_sent(), command.pwm, hover_pwm(&p.quadrotor));
+        let pwm = T::select(seen.was_sent(), command.pwm, step.prepared[0]);
         let shown = Motion {
             position: state.position,
             velocity: state.velocity,
@@ -82,7 +89,7 @@ impl NodeModel for Plant {
             stamp: step.due,
         };
         let input = Input { pwm, roll: command.roll, pitch: command.pitch };
-        let (next, _) = Quadrotor::step(&p.quadrotor, state, input, p.period);
+        let next = quadrotor::step(&p.quadrotor, state, input, p.period);
         (next, shown)
     }
 }

@@ -1,14 +1,14 @@
 //! Environments of one episode, stepped together through its passes.
 
-use std::cell::Cell;
+use std::mem::take;
 
-use parallax_model::node_model::{NodeStep, Scratch};
+use parallax_model::node_model::{BlockPort, BlockStep, BlockStore, ErasedModel, Scratch};
 use parallax_runtime::random::{Purpose, stream};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::environments::{Environments, Given};
-use super::inputs::{History, Selected, SlotInputs};
+use super::inputs::{Selected, Selecting, SlotStamps};
 use super::number::Number;
 use super::schedule::Entry;
 use super::{Batch, Moment};
@@ -21,25 +21,34 @@ pub(super) struct Group<'a, T: Number> {
     members: &'a [usize],
     blocks: usize,
     nodes: Vec<Node<T>>,
-    histories: Vec<History<T>>,
-    /// `[slot][port]`
-    selected: Vec<Vec<Selected<T>>>,
+    /// The last outputs of every node; then, for every port that selects what it sees, that.
+    stores: Vec<BlockStore<T>>,
+    /// `[slot]`
+    slots: Vec<Ports<T>>,
     /// The delays' places between their bounds, `[connection][lane]`; empty where they are not trainable.
     alphas: Vec<Vec<f64>>,
     /// Where the given outputs of every lane begin, `[node][lane]`; empty where a node computes them.
     given: Vec<Vec<usize>>,
     /// The place of every node's newest output.
     newest: Vec<u32>,
-    output: Vec<T>,
     scratch: Scratch<T>,
+}
+
+/// The ports of one slot.
+struct Ports<T> {
+    ports: Vec<BlockPort>,
+    selected: Vec<Selected<T>>,
+    /// For a node that sees its own outputs: where a step writes, because those are still read.
+    aside: Option<BlockStore<T>>,
 }
 
 /// One node's numbers, for every block.
 struct Node<T> {
     params: Vec<T>,
+    prepared: Vec<T>,
     state: Vec<T>,
-    /// How many leaves they have for each block.
-    leaves: [usize; 2],
+    /// How many parameters, prepared numbers, leaves of the state and normal numbers a block has.
+    widths: [usize; 4],
     noise: Vec<T>,
     /// One stream for each environment; none where nothing is drawn.
     random: Vec<ChaCha8Rng>,
@@ -56,8 +65,7 @@ impl<T: Number> Node<T> {
         if self.random.is_empty() {
             return;
         }
-        let blocks = self.random.len().div_ceil(T::LANES);
-        let noise = self.noise.len() / blocks;
+        let noise = self.widths[3];
         for (position, random) in self.random.iter_mut().enumerate() {
             // Steps on which nothing depends do not run, but have their numbers.
             for _ in 0..skipped.max(0) as usize * noise {
@@ -81,31 +89,47 @@ impl<'a, T: Number> Group<'a, T> {
         let blocks = members.len().div_ceil(T::LANES);
         let nodes = batch.nodes.iter().enumerate().map(|(index, node)| {
             let noise = node.model.as_ref().map_or(0, |model| model.noise());
+            let prepared = node.model.as_ref().map_or(0, |model| model.prepared());
             let random = members.iter().map(|&member| {
                 stream(environments.seeds[member], Purpose::Node, &compiled.nodes[index].name)
             });
+            let params = gather(&environments.params[index], node.params.len(), members, blocks);
             Node {
-                params: gather(&environments.params[index], node.params.len(), members, blocks),
+                prepared: node
+                    .model
+                    .as_deref()
+                    .map_or_else(Vec::new, |model| prepare(model, &params, blocks)),
+                params,
                 state: gather(&environments.states[index], node.state.len(), members, blocks),
-                leaves: [node.params.len(), node.state.len()],
+                widths: [node.params.len(), prepared, node.state.len(), noise],
                 noise: vec![T::constant(0.0); noise * blocks],
                 random: if noise > 0 { random.collect() } else { Vec::new() },
                 next: 0,
             }
         });
-        let histories: Vec<History<T>> = batch
-            .nodes
-            .iter()
-            .zip(&compiled.nodes)
-            .map(|(node, compiled)| History::new(&node.initial, compiled.history, blocks))
+        let nodes_and_places = batch.nodes.iter().zip(&compiled.nodes);
+        let mut stores: Vec<BlockStore<T>> = nodes_and_places
+            .map(|(node, compiled)| BlockStore::new(&node.initial, compiled.history, blocks))
             .collect();
-        let selected = compiled.slots.iter().map(|slot| {
-            slot.rows
-                .inputs
-                .iter()
-                .map(|input| Selected::new(input, histories[input.from].leaves, blocks))
-                .collect()
-        });
+        let mut slots = Vec::with_capacity(compiled.slots.len());
+        for (slot, offsets) in compiled.slots.iter().zip(&batch.offsets) {
+            let names = &batch.nodes[slot.node].ports;
+            let inputs = &slot.rows.inputs;
+            let mut ports = Vec::with_capacity(inputs.len());
+            let mut selected = Vec::with_capacity(inputs.len());
+            for ((input, name), &first) in inputs.iter().zip(names).zip(offsets) {
+                let mut store = input.from;
+                if input.is_open() {
+                    store = stores.len();
+                    stores.push(BlockStore::new(&batch.nodes[input.from].initial, input.window, blocks));
+                }
+                ports.push(BlockPort { name: name.clone(), window: input.window, store, first });
+                selected.push(Selected::new(input, store, blocks));
+            }
+            let sees_itself = ports.iter().any(|port| port.store == slot.node);
+            let aside = sees_itself.then(|| BlockStore::new(&batch.nodes[slot.node].initial, 1, blocks));
+            slots.push(Ports { ports, selected, aside });
+        }
         let lanes = (0..blocks * T::LANES).map(|lane| members[lane.min(members.len() - 1)]);
         let alphas = environments.alphas.iter().map(|alphas| {
             if alphas.is_empty() { Vec::new() } else { lanes.clone().map(|member| alphas[member]).collect() }
@@ -117,19 +141,17 @@ impl<'a, T: Number> Group<'a, T> {
                 lanes.clone().map(|member| given.row(member, episode) * leaves).collect()
             })
         });
-        let widest = batch.nodes.iter().map(|node| node.initial.len()).max().unwrap_or(0);
         Self {
             batch,
             environments,
             members,
             blocks,
             nodes: nodes.collect(),
-            selected: selected.collect(),
+            slots,
             alphas: alphas.collect(),
             given: given.collect(),
-            newest: vec![0; histories.len()],
-            histories,
-            output: vec![T::constant(0.0); widest * blocks],
+            newest: vec![0; batch.nodes.len()],
+            stores,
             scratch: Scratch::default(),
         }
     }
@@ -149,10 +171,10 @@ impl<'a, T: Number> Group<'a, T> {
                     None => self.step(entry, schedule.read(entry), row),
                 }
                 self.newest[node] = write;
-                made(&Made { node, seq, place: write, histories: &self.histories, members: self.members });
+                made(&Made { node, seq, place: write, stores: &self.stores, members: self.members });
             }
             let output = |node: usize, position: usize, leaf: usize| {
-                let message = self.histories[node].message(position / T::LANES, self.newest[node]);
+                let message = self.stores[node].message(position / T::LANES, self.newest[node] as usize);
                 message[leaf].get(position % T::LANES)
             };
             passed(&Moment {
@@ -170,67 +192,66 @@ impl<'a, T: Number> Group<'a, T> {
         let index = entry.slot as usize;
         let slot = &self.batch.compiled.slots[index];
         let rows = &slot.rows;
-        let shape = &self.batch.nodes[slot.node];
-        let Some(model) = shape.model.as_deref() else { return };
-        let times = [f64::from(entry.seq), entry.due, entry.start].map(T::constant);
-        for (input, selected) in rows.inputs.iter().zip(&mut self.selected[index]) {
-            if input.trainable.is_some() {
-                let history = &self.histories[input.from];
-                for (block, alphas) in self.alphas[input.connection].chunks_exact(T::LANES).enumerate() {
-                    selected.select(input, row, entry.start, history, block, alphas);
-                }
-            }
-            if input.from_output.is_some() {
-                let history = &self.histories[input.from];
+        let Some(model) = self.batch.nodes[slot.node].model.as_deref() else { return };
+        let ports = &mut self.slots[index];
+        for (input, selected) in rows.inputs.iter().zip(&mut ports.selected) {
+            if input.is_open() {
+                let mut seen = take(&mut self.stores[selected.store]);
+                let history = &self.stores[input.from];
                 for block in 0..self.blocks {
-                    selected.select_by_output(input, row, rows.start[row], history, block);
+                    let between = Selecting { history, seen: &mut seen, block };
+                    if input.trainable.is_some() {
+                        let alphas = &self.alphas[input.connection][block * T::LANES..][..T::LANES];
+                        selected.select(input, row, entry.start, between, alphas);
+                    } else {
+                        selected.select_by_output(input, row, rows.start[row], between);
+                    }
                 }
+                self.stores[selected.store] = seen;
             }
         }
         let node = &mut self.nodes[slot.node];
         node.draw(entry.seq);
-        let noise = node.noise.len() / self.blocks;
-        let leaves = shape.initial.len();
-        let inputs = SlotInputs {
-            ports: &shape.ports,
-            inputs: &rows.inputs,
-            selected: &self.selected[index],
-            row,
-            read,
-            offsets: &self.batch.offsets[index],
-            histories: &self.histories,
-            block: Cell::new(0),
+        // The step writes where its outputs are kept, unless it reads there.
+        let (mut output, place) = match &mut ports.aside {
+            Some(aside) => (take(aside), 0),
+            None => (take(&mut self.stores[slot.node]), entry.write as usize),
         };
-        // Made once for all blocks: lanes are too large to be copied for nothing.
-        let mut step = NodeStep::new(times, &[], &inputs);
-        let [params, state] = node.leaves;
+        let mut step = BlockStep {
+            blocks: self.blocks,
+            widths: node.widths,
+            times: [f64::from(entry.seq), entry.due, entry.start],
+            params: &node.params,
+            prepared: &node.prepared,
+            state: &mut node.state,
+            noise: &node.noise,
+            ports: &ports.ports,
+            places: read,
+            stores: &self.stores,
+            stamps: &SlotStamps { inputs: &rows.inputs, selected: &ports.selected, row },
+            output: &mut output,
+            place,
+        };
+        T::step(model, &mut step, &mut self.scratch);
+        let Some(aside) = &mut ports.aside else {
+            self.stores[slot.node] = output;
+            return;
+        };
+        let history = &mut self.stores[slot.node];
         for block in 0..self.blocks {
-            inputs.block.set(block);
-            step.noise = &node.noise[block * noise..(block + 1) * noise];
-            T::step(
-                model,
-                &node.params[block * params..(block + 1) * params],
-                &mut node.state[block * state..(block + 1) * state],
-                &step,
-                &mut self.scratch,
-                &mut self.output[block * leaves..(block + 1) * leaves],
-            );
+            history.message_mut(block, entry.write as usize).copy_from_slice(output.message(block, 0));
         }
-        let history = &mut self.histories[slot.node];
-        for block in 0..self.blocks {
-            let output = &self.output[block * leaves..(block + 1) * leaves];
-            history.message_mut(block, entry.write).copy_from_slice(output);
-        }
+        *aside = output;
     }
 
     /// Writes a given output into the history.
     fn give(&mut self, node: usize, given: &Given<'_>, seq: i32, write: u32) {
-        let leaves = self.batch.nodes[node].initial.len();
+        let history = &mut self.stores[node];
+        let leaves = history.leaves();
         let (first, values) = (seq as usize * leaves, given.values());
         for (block, rows) in self.given[node].chunks_exact(T::LANES).enumerate() {
-            let message = self.histories[node].message_mut(block, write);
-            for (leaf, place) in message.iter_mut().enumerate() {
-                let mut lanes = *place;
+            for (leaf, place) in history.message_mut(block, write as usize).iter_mut().enumerate() {
+                let mut lanes = T::constant(0.0);
                 for (lane, row) in rows.iter().enumerate() {
                     lanes.set(lane, values[row + first + leaf]);
                 }
@@ -241,7 +262,7 @@ impl<'a, T: Number> Group<'a, T> {
 
     /// The states after the last step, one list of leaves for each node and member.
     pub(super) fn state(&self, node: usize, position: usize) -> impl Iterator<Item = f64> {
-        let leaves = self.nodes[node].leaves[1];
+        let leaves = self.nodes[node].widths[2];
         let (block, lane) = (position / T::LANES, position % T::LANES);
         self.nodes[node].state[block * leaves..(block + 1) * leaves].iter().map(move |leaf| leaf.get(lane))
     }
@@ -252,7 +273,7 @@ pub(super) struct Made<'a, T> {
     pub(super) node: usize,
     pub(super) seq: i32,
     place: u32,
-    histories: &'a [History<T>],
+    stores: &'a [BlockStore<T>],
     members: &'a [usize],
 }
 
@@ -260,7 +281,7 @@ impl<T: Number> Made<'_, T> {
     /// Calls `see` with every environment's place in the group and its message's leaves.
     pub(super) fn each(&self, mut see: impl FnMut(usize, usize, f64)) {
         for position in 0..self.members.len() {
-            let message = self.histories[self.node].message(position / T::LANES, self.place);
+            let message = self.stores[self.node].message(position / T::LANES, self.place as usize);
             for (leaf, value) in message.iter().enumerate() {
                 see(position, leaf, value.get(position % T::LANES));
             }
@@ -278,4 +299,15 @@ fn gather<T: Number>(rows: &[f64], leaves: usize, members: &[usize], blocks: usi
         }
     }
     values
+}
+
+/// What a model prepares of the parameters of every block: `[block][number]`.
+fn prepare<T: Number>(model: &dyn ErasedModel, params: &[T], blocks: usize) -> Vec<T> {
+    let (leaves, count) = (params.len() / blocks, model.prepared());
+    let mut prepared = vec![T::constant(0.0); count * blocks];
+    for block in 0..blocks {
+        let params = &params[block * leaves..(block + 1) * leaves];
+        T::prepare(model, params, &mut prepared[block * count..(block + 1) * count]);
+    }
+    prepared
 }

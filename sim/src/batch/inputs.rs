@@ -1,65 +1,34 @@
-//! What a step of a block reads: histories at the places that the tables name, or what a delay selects that is known only
-//! at run time.
+//! What a step reads that the tables alone do not say: messages that a delay selects which is known only at run time, and
+//! stamps.
 
-use std::cell::Cell;
-
-use parallax_model::node_model::StepInputs;
+use parallax_model::node_model::{BlockStamps, BlockStore};
 use parallax_runtime::time::{Nanos, to_seconds};
 
 use super::number::Number;
 use crate::compiled::{InputRows, Interpolation};
 
-/// The last outputs of one node, for every block of a group: `[block][place][leaf]`.
-#[derive(Debug)]
-pub(super) struct History<T> {
-    pub(super) leaves: usize,
-    places: usize,
-    values: Vec<T>,
-}
-
-impl<T: Number> History<T> {
-    /// The initial message in all places.
-    pub(super) fn new(initial: &[f64], places: usize, blocks: usize) -> Self {
-        let message = initial.iter().map(|&value| T::constant(value));
-        let values = message.cycle().take(initial.len() * places * blocks).collect();
-        Self { leaves: initial.len(), places, values }
-    }
-
-    #[inline(always)]
-    pub(super) fn message(&self, block: usize, place: u32) -> &[T] {
-        let first = (block * self.places + place as usize) * self.leaves;
-        &self.values[first..first + self.leaves]
-    }
-
-    #[inline(always)]
-    pub(super) fn message_mut(&mut self, block: usize, place: u32) -> &mut [T] {
-        let first = (block * self.places + place as usize) * self.leaves;
-        &mut self.values[first..first + self.leaves]
-    }
-}
-
 /// The messages of a port whose delay is known only at run time: they differ from environment to environment.
 #[derive(Debug)]
 pub(super) struct Selected<T> {
-    /// `[block][place in the window][leaf]`
-    values: Vec<T>,
+    /// In which of the group's stores they are, a place for each message of the window.
+    pub(super) store: usize,
     /// `[block][place in the window]`
     stamps: Vec<[T; 3]>,
     window: usize,
-    leaves: usize,
+}
+
+/// Where a block's messages are selected from, and where they are put.
+pub(super) struct Selecting<'a, T> {
+    pub(super) history: &'a BlockStore<T>,
+    pub(super) seen: &'a mut BlockStore<T>,
+    pub(super) block: usize,
 }
 
 impl<T: Number> Selected<T> {
-    /// Room for what `input` reads from messages of so many leaves; none where the tables say what is seen.
-    pub(super) fn new(input: &InputRows, leaves: usize, blocks: usize) -> Self {
+    /// Room for the stamps of what `input` reads; none where the tables say what is seen.
+    pub(super) fn new(input: &InputRows, store: usize, blocks: usize) -> Self {
         let window = if input.is_open() { input.window } else { 0 };
-        let zero = T::constant(0.0);
-        Self {
-            values: vec![zero; blocks * window * leaves],
-            stamps: vec![[zero; 3]; blocks * window],
-            window,
-            leaves,
-        }
+        Self { store, stamps: vec![[T::constant(0.0); 3]; blocks * window], window }
     }
 
     /// Selects, for every environment of a block, the messages that a step at `start` (s) sees under its own delay.
@@ -68,8 +37,7 @@ impl<T: Number> Selected<T> {
         input: &InputRows,
         row: usize,
         start: f64,
-        history: &History<T>,
-        block: usize,
+        Selecting { history, seen, block }: Selecting<'_, T>,
         alphas: &[f64],
     ) {
         let Some(delay) = &input.trainable else { return };
@@ -98,7 +66,7 @@ impl<T: Number> Selected<T> {
                 for (stamp, value) in self.stamps[block * self.window + index].iter_mut().zip(stamps) {
                     stamp.set(lane, value);
                 }
-                let message = history.message(block, read[held]);
+                let message = history.message(block, read[held] as usize);
                 let (after, share) = match delay.interpolation {
                     Interpolation::Hold => (held, 0.0),
                     // Before the first message and after the last it holds.
@@ -109,9 +77,8 @@ impl<T: Number> Selected<T> {
                         (held + 1, if gap > 0.0 { ((look - sent(held)) / gap).clamp(0.0, 1.0) } else { 0.0 })
                     }
                 };
-                let after = history.message(block, read[after]);
-                let first = (block * self.window + index) * self.leaves;
-                let to = &mut self.values[first..first + self.leaves];
+                let after = history.message(block, read[after] as usize);
+                let to = seen.message_mut(block, index);
                 for ((to, message), after) in to.iter_mut().zip(message).zip(after) {
                     let (a, b) = (message.get(lane), after.get(lane));
                     to.set(lane, if share == 0.0 { a } else { a + share * (b - a) });
@@ -129,13 +96,12 @@ impl<T: Number> Selected<T> {
         input: &InputRows,
         row: usize,
         start: Nanos,
-        history: &History<T>,
-        block: usize,
+        Selecting { history, seen, block }: Selecting<'_, T>,
     ) {
         let Some(delay) = &input.from_output else { return };
         let first = row * input.candidates;
         for lane in 0..T::LANES {
-            let message = |candidate: usize| history.message(block, input.read[first + candidate]);
+            let message = |candidate: usize| history.message(block, input.read[first + candidate] as usize);
             let leaf = |candidate: usize| message(candidate)[delay.computation.leaf].get(lane);
             let newest = delay.newest(input, row, start, leaf);
             for index in 0..input.window {
@@ -147,8 +113,7 @@ impl<T: Number> Selected<T> {
                 for (stamp, value) in self.stamps[block * self.window + index].iter_mut().zip(stamps) {
                     stamp.set(lane, value);
                 }
-                let place = (block * self.window + index) * self.leaves;
-                for (to, from) in self.values[place..place + self.leaves].iter_mut().zip(message(held)) {
+                for (to, from) in seen.message_mut(block, index).iter_mut().zip(message(held)) {
                     to.set(lane, from.get(lane));
                 }
             }
@@ -156,53 +121,24 @@ impl<T: Number> Selected<T> {
     }
 }
 
-/// The inputs of one step of one block.
-pub(super) struct SlotInputs<'a, T> {
-    pub(super) ports: &'a [String],
+/// The stamps of what a step sees: the tables', or those of what was selected.
+pub(super) struct SlotStamps<'a, T> {
     pub(super) inputs: &'a [InputRows],
     pub(super) selected: &'a [Selected<T>],
     /// Where its stamps stand in the tables.
     pub(super) row: usize,
-    /// Places in histories: port after port, message after message.
-    pub(super) read: &'a [u32],
-    /// Where each port's places begin.
-    pub(super) offsets: &'a [usize],
-    pub(super) histories: &'a [History<T>],
-    pub(super) block: Cell<usize>,
 }
 
-impl<T: Number> StepInputs<T> for SlotInputs<'_, T> {
-    #[inline]
-    fn port(&self, name: &str) -> Option<usize> {
-        // Names are short: a loop over bytes is faster than a call.
-        let same = |port: &String| port.len() == name.len() && port.bytes().eq(name.bytes());
-        self.ports.iter().position(same)
-    }
-    #[inline]
-    fn window(&self, port: usize) -> usize {
-        self.inputs[port].window
-    }
-    #[inline]
-    fn stamp(&self, port: usize, index: usize) -> [T; 3] {
+impl<T: Number> BlockStamps<T> for SlotStamps<'_, T> {
+    fn stamp(&self, block: usize, port: usize, index: usize) -> [T; 3] {
         let input = &self.inputs[port];
         if input.is_open() {
             let selected = &self.selected[port];
-            return selected.stamps[self.block.get() * selected.window + index];
+            return selected.stamps[block * selected.window + index];
         }
         let place = self.row * input.candidates + index;
         let stamps =
             [f64::from(input.seq[place]), to_seconds(input.sent[place]), to_seconds(input.received[place])];
         stamps.map(T::constant)
-    }
-    #[inline]
-    fn payload(&self, port: usize, index: usize) -> &[T] {
-        let input = &self.inputs[port];
-        if input.is_open() {
-            let selected = &self.selected[port];
-            let first = (self.block.get() * selected.window + index) * selected.leaves;
-            return &selected.values[first..first + selected.leaves];
-        }
-        let place = self.read[self.offsets[port] + index];
-        self.histories[input.from].message(self.block.get(), place)
     }
 }

@@ -2,7 +2,7 @@
 
 use parallax_model::Scalar;
 use parallax_model::lanes::{F32x32, F64x16};
-use parallax_model::node_model::{ErasedModel, NodeStep, Scratch};
+use parallax_model::node_model::{BlockStep, ErasedModel, Scratch};
 
 /// A number for each environment of a block.
 pub(super) trait Number: Scalar + Send + Sync {
@@ -12,15 +12,10 @@ pub(super) trait Number: Scalar + Send + Sync {
     fn get(&self, lane: usize) -> f64;
     /// Changes one environment's number.
     fn set(&mut self, lane: usize, value: f64);
-    /// One step of a model for the whole block.
-    fn step(
-        model: &dyn ErasedModel,
-        params: &[Self],
-        state: &mut [Self],
-        step: &NodeStep<'_, Self>,
-        scratch: &mut Scratch<Self>,
-        output: &mut [Self],
-    );
+    /// What a model prepares of the parameters of one block.
+    fn prepare(model: &dyn ErasedModel, params: &[Self], prepared: &mut [Self]);
+    /// One step of a model for all blocks.
+    fn step(model: &dyn ErasedModel, step: &mut BlockStep<'_, Self>, scratch: &mut Scratch<Self>);
 }
 
 impl Number for f64 {
@@ -33,21 +28,17 @@ impl Number for f64 {
     fn set(&mut self, _: usize, value: f64) {
         *self = value;
     }
+    fn prepare(model: &dyn ErasedModel, params: &[Self], prepared: &mut [Self]) {
+        model.prepare_f64(params, prepared);
+    }
     #[inline(always)]
-    fn step(
-        model: &dyn ErasedModel,
-        params: &[Self],
-        state: &mut [Self],
-        step: &NodeStep<'_, Self>,
-        scratch: &mut Scratch<Self>,
-        output: &mut [Self],
-    ) {
-        model.step_f64(params, state, step, scratch, output);
+    fn step(model: &dyn ErasedModel, step: &mut BlockStep<'_, Self>, scratch: &mut Scratch<Self>) {
+        model.step_blocks_f64(step, scratch);
     }
 }
 
 macro_rules! lanes {
-    ($lanes:ident, $float:ty, $step:ident) => {
+    ($lanes:ident, $float:ty, $prepare:ident, $step:ident) => {
         impl Number for $lanes {
             const LANES: usize = $lanes::LANES;
             #[inline(always)]
@@ -58,20 +49,16 @@ macro_rules! lanes {
             fn set(&mut self, lane: usize, value: f64) {
                 self[lane] = value as $float;
             }
+            fn prepare(model: &dyn ErasedModel, params: &[Self], prepared: &mut [Self]) {
+                model.$prepare(params, prepared);
+            }
             #[inline(always)]
-            fn step(
-                model: &dyn ErasedModel,
-                params: &[Self],
-                state: &mut [Self],
-                step: &NodeStep<'_, Self>,
-                scratch: &mut Scratch<Self>,
-                output: &mut [Self],
-            ) {
-                model.$step(params, state, step, scratch, output);
+            fn step(model: &dyn ErasedModel, step: &mut BlockStep<'_, Self>, scratch: &mut Scratch<Self>) {
+                model.$step(step, scratch);
             }
         }
     };
 }
 
-lanes!(F64x16, f64, step_f64x16);
-lanes!(F32x32, f32, step_f32x32);
+lanes!(F64x16, f64, prepare_f64x16, step_blocks_f64x16);
+lanes!(F32x32, f32, prepare_f32x32, step_blocks_f32x32);

@@ -11,7 +11,7 @@ pub(super) struct Schedule {
     entries: Vec<Entry>,
     /// Per pass, where its entries end.
     ends: Vec<usize>,
-    /// What the entries read, port after port.
+    /// The places that the entries read, port after port: in histories, or in the window of what is selected.
     read: Vec<u32>,
 }
 
@@ -41,7 +41,11 @@ impl Schedule {
                 }
                 let first = schedule.read.len() as u32;
                 for input in &rows.inputs {
-                    schedule.read.extend(&input.read[row * input.candidates..(row + 1) * input.candidates]);
+                    if input.is_open() {
+                        schedule.read.extend(0..input.window as u32);
+                    } else {
+                        schedule.read.extend(&input.read[row * input.candidates..][..input.window]);
+                    }
                 }
                 schedule.entries.push(Entry {
                     slot: index as u32,
@@ -77,8 +81,8 @@ impl Schedule {
 pub(super) fn offsets(slot: &Slot) -> Vec<usize> {
     let mut next = 0;
     let inputs = slot.rows.inputs.iter().map(|input| {
-        next += input.candidates;
-        next - input.candidates
+        next += input.window;
+        next - input.window
     });
     inputs.collect()
 }
