@@ -10,8 +10,12 @@ use rand_distr::{Distribution, StandardNormal};
 use super::environments::{Environments, Given};
 use super::inputs::{Selected, Selecting, SlotStamps};
 use super::number::Number;
+use super::prefetch::prefetch;
 use super::schedule::Entry;
 use super::{Batch, Moment};
+
+/// How many numbers a line of the cache holds.
+const LINE: usize = 8;
 
 /// Everything that one group of environments needs; nothing is allocated while it runs.
 pub(super) struct Group<'a, T: Number> {
@@ -249,6 +253,10 @@ impl<'a, T: Number> Group<'a, T> {
         let history = &mut self.stores[node];
         let leaves = history.leaves();
         let (first, values) = (seq as usize * leaves, given.values());
+        if first % LINE < leaves {
+            // Every environment's outputs lie elsewhere: more places than the machine follows by itself.
+            self.given[node].iter().for_each(|row| prefetch(values, row + first + LINE));
+        }
         for (block, rows) in self.given[node].chunks_exact(T::LANES).enumerate() {
             for (leaf, place) in history.message_mut(block, write as usize).iter_mut().enumerate() {
                 let mut lanes = T::constant(0.0);

@@ -38,6 +38,7 @@ mod environments;
 mod group;
 mod inputs;
 mod number;
+mod prefetch;
 mod schedule;
 
 use std::fmt;
