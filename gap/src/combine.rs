@@ -26,6 +26,9 @@ const MOST: usize = 4;
 /// Squared distance from its null beyond which an effect is not tried to be left out.
 const CERTAIN: f64 = 400.0;
 
+/// Difference of −2 log evidence up to which two effects alone are one and the same.
+const TWIN: f64 = 0.01;
+
 /// Combinations that are worth their further effects; `fits` are single effects, the best first.
 #[must_use]
 pub fn combinations(setup: &Setup, null: &Fit, fits: &[Fit], judge: &Judge) -> Vec<Fit> {
@@ -56,7 +59,31 @@ pub fn combinations(setup: &Setup, null: &Fit, fits: &[Fit], judge: &Judge) -> V
         let base = simplify(setup, null, prune(setup, null, base, fits, judge), judge);
         let known = |other: &Fit| same(&other.hypothesis.effects, &base.hypothesis.effects);
         if base.hypothesis.effects.len() > 1 && !found.iter().any(known) {
+            let others = twins(setup, null, &base, fits, judge);
             found.push(base);
+            found.extend(others);
+        }
+    }
+    found
+}
+
+/// The combination with one of its effects in the place of which stands another that alone fits exactly as well: one
+/// sensor's delay and the command's.
+fn twins(setup: &Setup, null: &Fit, fit: &Fit, fits: &[Fit], judge: &Judge) -> Vec<Fit> {
+    let effects = &fit.hypothesis.effects;
+    let alone =
+        |at: &EffectAt| fits.iter().find(|f| f.hypothesis.effects == [at.clone()]).map(|f| judge.cost(f));
+    let mut found = Vec::new();
+    for (k, at) in effects.iter().enumerate() {
+        let Some(own) = alone(at) else { continue };
+        for twin in fits.iter().filter_map(|f| f.hypothesis.effects.first()) {
+            let even = alone(twin).is_some_and(|cost| (cost - own).abs() < TWIN);
+            if !even || effects.contains(twin) || setup.stop.leaves_out(|| SEVERAL.into()) {
+                continue;
+            }
+            let mut with = effects.clone();
+            with[k] = twin.clone();
+            found.push(fit_hypothesis(setup, null, library::hypothesis(setup, &with)));
         }
     }
     found

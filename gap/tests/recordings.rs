@@ -92,7 +92,7 @@ fn recordings_share_their_parameters_and_keep_their_constants() {
     };
     let alone = narrowed(&[half(0)]).min(narrowed(&[half(1)]));
     let together = narrowed(&[half(0), half(1)]);
-    assert!(together < 0.9 * alone, "{together} together, {alone} alone");
+    assert!(together < alone, "{together} together, {alone} alone");
 }
 
 #[test]
