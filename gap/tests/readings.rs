@@ -12,8 +12,6 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use support::{Hidden, SYSTEM, record};
 
-const NOISE: f64 = 0.0015;
-
 /// The pendulum, with its sensor's noise declared or not.
 fn equations(declared: bool) -> Equations {
     let noise = if declared { "unit = \"rad\", noise = 0.0015, wrap" } else { "unit = \"rad\", wrap" };

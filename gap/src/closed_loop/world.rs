@@ -106,7 +106,8 @@ impl Machine {
         let (on_commands, on_readings) = (at(PlaceKind::Input, inputs), at(PlaceKind::Output, outputs));
         for (sensor, effects) in sensors.iter_mut().zip(&on_readings) {
             if let Some((_, own)) = effects.iter().find(|(effect, _)| *effect == Effect::Noise) {
-                sensor.noise = own[0];
+                // It is what the stated noise lacks.
+                sensor.noise = sensor.noise.hypot(own[0]);
             }
         }
         let late = |(effect, own): &Acting| match effect {
