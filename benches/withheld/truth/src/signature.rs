@@ -278,12 +278,12 @@ impl<'a> View<'a> {
                 Place::Output(o) => self.run.noise[o],
                 _ => 0.0,
             };
-            // A signature depends on the size of a large cause: the true one's where the parameters are the same, else
+            // A signature depends on the size of a large cause: the true one's where it is the same effect elsewhere, else
             // some that might as well be there, as long as they come near.
             let mut rng = stream(0, 100 + i as u64);
             let mut sizes = Vec::new();
             if let [cause] = case.causes.as_slice()
-                && kind.names().2 == cause.kind.names().2
+                && (kind.names().0, kind.names().2) == (cause.kind.names().0, cause.kind.names().2)
             {
                 sizes.push(Cause { kind, place, p: cause.p });
             }
