@@ -72,6 +72,17 @@ fn edit(folder: &TempDir, file: &str, from: &str, to: &str) {
     fs::write(path, text.replacen(from, to, 1)).unwrap();
 }
 
+#[test]
+fn a_recording_toml_stands_for_its_folder() {
+    let folder = with_log();
+    assert_eq!(
+        json(&folder, &["info", "log/recording.toml", "--json"]),
+        json(&folder, &["info", "log", "--json"])
+    );
+    let cut = ["diagnose", "--system", "log/system.toml", "log/recording.toml", "--from", "9"];
+    fail(&folder, &cut, 2, &["log/recording.toml has no measurement from 9 s on", "--from"]);
+}
+
 /// The pendulum's graph in `graph.toml`.
 fn with_graph() -> TempDir {
     let folder = folder();

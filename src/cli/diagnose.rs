@@ -17,7 +17,7 @@ use parallax_model::system::{Equations, System, Task};
 use parallax_runtime::import::{self, read_system_text};
 use parallax_runtime::launch::signals::Signals;
 use parallax_runtime::recording::Recording;
-use parallax_runtime::recording::log::Log;
+use parallax_runtime::recording::log::{Log, Role};
 
 use super::failure::{Failure, Outcome, Sort};
 use super::output;
@@ -122,7 +122,7 @@ impl Loaded {
         let mut attached: Option<(&Path, String)> = None;
         let mut graph = None;
         for path in paths {
-            let (log, own) = if path.is_dir() {
+            let (log, own) = if import::is_folder(path) {
                 (import::folder(path).input()?, None)
             } else {
                 let recording = Recording::read(path).input()?;
@@ -135,8 +135,14 @@ impl Loaded {
                 eprintln!("note: {note}");
             }
             let cut = if part == (None, None) { log } else { log.part(from, to) };
-            if cut.span().is_none() {
-                return Err(Failure::input(anyhow!("{} has nothing from {from} s on", path.display())));
+            // The command that held before the part is kept.
+            let mut measured = cut.signals.iter().filter(|signal| signal.role == Role::Measurement);
+            if part != (None, None) && measured.all(|signal| signal.times.is_empty()) {
+                return Err(Failure::input(anyhow!(
+                    "{} has no measurement from {from} s on{}; check --from and --to",
+                    path.display(),
+                    if to.is_finite() { format!(" and before {to} s") } else { String::new() }
+                )));
             }
             logs.push(cut);
             match (own, &attached) {

@@ -35,9 +35,7 @@ enum Kind {
 pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     let (path, json) = (&arguments.what, arguments.json);
     match kind(path)? {
-        // A recording.toml stands for its folder.
-        Kind::Folder if path.is_dir() => log::show(&import::folder(path).input()?, json)?,
-        Kind::Folder => log::show(&import::folder(path.parent().unwrap_or(Path::new("."))).input()?, json)?,
+        Kind::Folder => log::show(&import::folder(path).input()?, json)?,
         Kind::System => system::show(&import::read_system(path).input()?, json)?,
         Kind::Graph => graph::show(&graph_spec(&path.to_string_lossy(), &[], &[])?, json)?,
         Kind::Recording => {

@@ -27,7 +27,13 @@ use manifest::SignalEntry;
 /// The name of the file that describes a folder's signals.
 pub const MANIFEST: &str = "recording.toml";
 
-/// Reads the folder at `path`: its `recording.toml` and the CSV files that it names, each once.
+/// Whether a path is that of a log's folder, or of the `recording.toml` in it.
+#[must_use]
+pub fn is_folder(path: &Path) -> bool {
+    path.is_dir() || path.file_name().is_some_and(|name| name == MANIFEST)
+}
+
+/// Reads the folder at `path`, or the one of the `recording.toml` at `path`: its `recording.toml` and the CSV files that it names, each once.
 ///
 /// # Errors
 ///
@@ -36,6 +42,17 @@ pub fn folder(path: &Path) -> Result<Log, ImportError> {
     if !path.exists() {
         return Err(ImportError::Missing { path: path.into() });
     }
+    let path = match path.parent() {
+        // The parent of a bare file name is empty.
+        Some(parent) if !path.is_dir() && is_folder(path) => {
+            if parent.as_os_str().is_empty() {
+                Path::new(".")
+            } else {
+                parent
+            }
+        }
+        _ => path,
+    };
     if !path.is_dir() {
         return Err(ImportError::NotAFolder { path: path.into() });
     }
