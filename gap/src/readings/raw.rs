@@ -242,6 +242,9 @@ fn free(noise: &Noise) -> f64 {
     })
 }
 
+/// Relative accuracy of a step that is believed at best.
+const DIGITS: f64 = 1e-6;
+
 /// A lattice of values. Readings are predicted to fall on it: the score knows of a prediction only the cell.
 fn quantization(noise: &Noise, lattice: Lattice, place: &str, unit: &str) -> ReadingEffect {
     let step = lattice.step;
@@ -255,7 +258,9 @@ fn quantization(noise: &Noise, lattice: Lattice, place: &str, unit: &str) -> Rea
     let without = noise.score(|r| log_normal(r, noise.unit));
     let with = noise.score(cell).max(noise.score(|r| log_normal(r, noise.found)));
     let density = LogDensity { without, with, best: with.max(free(noise)) };
-    let value = Value { value: step, std: lattice.std, unit: unit.into() };
+    // Values are written with so many digits.
+    let std = lattice.std.max(DIGITS * step);
+    let value = Value { value: step, std, unit: unit.into() };
     // One parameter, known to a part in a thousand of its prior.
     let evidence = lattice.chance() + 2.0 * 1e3_f64.ln();
     found("quantization", place.into(), ("step", value), evidence, coarse, density)
