@@ -139,6 +139,17 @@ mod tests {
     }
 
     #[test]
+    fn strong_evidence_is_a_gap_and_weak_evidence_spends_little() {
+        assert!(by_either(0.3, 30.0) < 1e-10);
+        // 1 : 100 in favour of a gap is what chance shows more often than it may.
+        assert_eq!(by_either(1.0, 100.0_f64.ln()), 1.0);
+        for score in [0.005, 0.2] {
+            assert!((by_either(score, 0.0) / score - 1.0).abs() < 0.02);
+        }
+        assert!(by_either(1.0, f64::INFINITY) > 0.0 && by_either(1.0, f64::NEG_INFINITY) == 1.0);
+    }
+
+    #[test]
     fn white_innovations_are_no_gap_and_a_signature_is_one() {
         let mut random = ChaCha8Rng::seed_from_u64(3);
         let rows = 500;

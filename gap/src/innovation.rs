@@ -97,7 +97,9 @@ fn stretches(simulator: &dyn Simulator, run: &dyn Run, segments: &[Segment], out
             let next = stamps.len() * (piece + 1) / pieces;
             let counts_from = if piece == 0 { segment.from } else { stamps[at] };
             // What a segment's first readings tell is the state, whatever states a hypothesis has.
-            let weighs_from = if piece == 0 { stamps[settling.min(stamps.len() / 4)] } else { stamps[at] };
+            let told = settling.min(stamps.len() / 4);
+            let weighs_from =
+                if piece == 0 { stamps.get(told).copied().unwrap_or(segment.from) } else { stamps[at] };
             let from = if piece == 0 { segment.from } else { stamps[at - settling] };
             let to = if piece + 1 == pieces { segment.to } else { stamps[next] };
             let place = if pieces == 1 { Some((first, end)) } else { locate(run.events(), late, from, to) };
