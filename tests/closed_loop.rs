@@ -2,25 +2,16 @@
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+mod command;
+
 use std::collections::VecDeque;
 use std::fs;
 use std::path::Path;
-use std::process::Command;
 
+use command::ends;
 use parallax::gap::closed_loop::{Controlled, LoopScore};
 use parallax::gap::report::Report;
 use tempfile::TempDir;
-
-/// The command ends with this exit code; gives what it printed to the standard output and to that of errors.
-#[track_caller]
-fn ends(folder: &Path, code: i32, arguments: &[&str]) -> (String, String) {
-    let program = env!("CARGO_BIN_EXE_parallax");
-    let output = Command::new(program).current_dir(folder).args(arguments).output().unwrap();
-    let errors = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {errors}");
-    assert!(!errors.contains("panicked"), "{errors}");
-    (String::from_utf8(output.stdout).unwrap(), errors)
-}
 
 const SYSTEM: &str = r#"
 format = 1

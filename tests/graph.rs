@@ -2,43 +2,21 @@
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use std::fs;
-use std::process::{Command, Output};
+mod command;
 
+use std::fs;
+
+use command::{fail, json, parallax, succeed};
 use parallax::nodes::pendulum;
 use parallax::runtime::delay::Delay;
 use parallax::runtime::graph::GraphSpec;
 use serde_json::Value;
 use tempfile::TempDir;
 
-fn parallax(folder: &TempDir, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_parallax")).current_dir(folder.path()).args(arguments).output().unwrap()
-}
-
-#[track_caller]
-fn succeed(folder: &TempDir, arguments: &[&str]) -> String {
-    let output = parallax(folder, arguments);
-    let errors = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{arguments:?}: {errors}");
-    String::from_utf8(output.stdout).unwrap()
-}
-
-#[track_caller]
-fn json(folder: &TempDir, arguments: &[&str]) -> Value {
-    serde_json::from_str(&succeed(folder, arguments)).unwrap()
-}
-
 /// The command fails as one does whose input cannot be used, and says all of these.
 #[track_caller]
 fn refuse(folder: &TempDir, arguments: &[&str], expected: &[&str]) {
-    let output = parallax(folder, arguments);
-    let errors = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {errors}");
-    assert!(output.stdout.is_empty(), "{arguments:?} printed an answer");
-    for part in expected {
-        assert!(errors.contains(part), "{arguments:?}: no `{part}` in: {errors}");
-    }
-    assert!(!errors.contains("panicked"), "{errors}");
+    fail(folder, arguments, 2, expected);
 }
 
 fn folder() -> TempDir {

@@ -3,29 +3,17 @@
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+mod command;
+
 use std::f64::consts::TAU;
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
 
+use command::ends;
 use parallax::nodes::command_file::CommandFile;
 use parallax::runtime::recording::Recording;
 use serde_json::Value;
 use tempfile::TempDir;
-
-fn parallax(folder: &TempDir, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_parallax")).current_dir(folder.path()).args(arguments).output().unwrap()
-}
-
-/// The command ends with this exit code; gives what it printed to the standard output and to that of errors.
-#[track_caller]
-fn ends(folder: &TempDir, code: i32, arguments: &[&str]) -> (String, String) {
-    let output = parallax(folder, arguments);
-    let errors = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {errors}");
-    assert!(!errors.contains("panicked"), "{errors}");
-    (String::from_utf8(output.stdout).unwrap(), errors)
-}
 
 const SYSTEM: &str = r#"
 format = 1

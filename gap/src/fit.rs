@@ -4,6 +4,7 @@
 //! Steps are taken in units of each parameter's scale.
 
 use nalgebra::{DMatrix, DVector};
+use parallax_runtime::delay::special::normal_cdf;
 
 use crate::hypothesis::Fitted;
 
@@ -203,31 +204,5 @@ impl Minimum {
         };
         self.cost + log_determinant - volume - p as f64 * (2.0 * std::f64::consts::PI).ln()
             + self.cut_off(fitted)
-    }
-}
-
-/// Φ(x), by the approximation of Abramowitz & Stegun 26.2.17 (error below 7.5e-8).
-fn normal_cdf(x: f64) -> f64 {
-    if x.is_infinite() {
-        return if x > 0.0 { 1.0 } else { 0.0 };
-    }
-    let t = 1.0 / (1.0 + 0.231_641_9 * x.abs());
-    let series = t
-        * (0.319_381_530
-            + t * (-0.356_563_782 + t * (1.781_477_937 + t * (-1.821_255_978 + t * 1.330_274_429))));
-    let tail = (-0.5 * x * x).exp() / (2.0 * std::f64::consts::PI).sqrt() * series;
-    if x >= 0.0 { 1.0 - tail } else { tail }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::normal_cdf;
-
-    #[test]
-    fn the_normal_distribution_matches_tables() {
-        for (x, expected) in [(0.0, 0.5), (1.0, 0.841_344_746), (-1.959_964, 0.025), (3.0, 0.998_650_102)] {
-            assert!((normal_cdf(x) - expected).abs() < 1e-6, "{x}");
-        }
-        assert_eq!((normal_cdf(f64::INFINITY), normal_cdf(f64::NEG_INFINITY)), (1.0, 0.0));
     }
 }

@@ -19,7 +19,7 @@
 //! ```
 //! use parallax_gap::diagnosis::{Options, diagnose};
 //! use parallax_model::system::System;
-//! use parallax_runtime::recording::log::{Log, Role, Signal, Source};
+//! use parallax_runtime::recording::log::{Log, Role, Signal};
 //!
 //! let text = r#"
 //! format = 1
@@ -51,12 +51,9 @@
 //!         q += 1e-4 * v;
 //!     }
 //! }
-//! let signal = |name: &str, role, unit: &str, values| Signal {
-//!     name: name.into(), role, unit: unit.into(), times: times.clone(), values, source: Source::default(),
-//! };
 //! let signals = vec![
-//!     signal("force", Role::Command, "N", force),
-//!     signal("position", Role::Measurement, "m", position),
+//!     Signal::new("force", Role::Command, "N", times.clone(), force),
+//!     Signal::new("position", Role::Measurement, "m", times, position),
 //! ];
 //! let log = Log { title: "cart".into(), signals, ..Log::default() };
 //!

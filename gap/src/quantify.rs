@@ -8,7 +8,7 @@ use parallax_model::plant::Plant;
 use crate::equations::EquationsSimulator;
 use crate::filter::Noise;
 use crate::innovation::{Segment, walk};
-use crate::report::{Interval, Overlay};
+use crate::report::{Interval, Overlay, WORST_SHARE};
 use crate::setup::Setup;
 use crate::simulator::{Prediction, Simulator, Transition, wrapped};
 use crate::statistics::root_mean_square;
@@ -126,9 +126,6 @@ pub fn refine_step(setup: &mut Setup) {
     setup.step = step;
 }
 
-/// The lowest share that is stated: beyond it the numbers say nothing more.
-const WORST_SHARE: f64 = -10.0;
-
 /// 1 − (MSE after − floor)/(MSE before − floor), with a bootstrap interval over the starts.
 ///
 /// The floor is one noise unit squared. Where there was no gap to close the share is zero.
@@ -148,7 +145,7 @@ pub fn closed(before: &Row, after: &Row, seed: u64) -> Interval {
     let blocks = before.blocks.len().min(after.blocks.len());
     let value = share(before.mean_square(), after.mean_square());
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let mut draws: Vec<f64> = (0..1000)
+    let draws: Vec<f64> = (0..1000)
         .filter_map(|_| {
             let (mut b, mut a, mut count) = (0.0, 0.0, 0);
             for _ in 0..blocks {
@@ -160,9 +157,7 @@ pub fn closed(before: &Row, after: &Row, seed: u64) -> Interval {
             (count > 0).then(|| share(b / count as f64, a / count as f64))
         })
         .collect();
-    draws.sort_by(f64::total_cmp);
-    let at = |q: f64| draws.get((draws.len() as f64 * q) as usize).copied().unwrap_or(value);
-    Interval { value, low: at(0.025).min(value), high: at(0.975).max(value) }
+    Interval::of(value, draws)
 }
 
 /// The overlay of an output from two rows that predicted the same readings.

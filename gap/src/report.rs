@@ -274,6 +274,18 @@ pub struct Interval {
     pub high: f64,
 }
 
+/// The lowest share that is stated: beyond it the numbers say nothing more.
+pub(crate) const WORST_SHARE: f64 = -10.0;
+
+impl Interval {
+    /// A value between the 2.5 and 97.5 % quantiles of its bootstrap draws, and never outside.
+    pub(crate) fn of(value: f64, mut draws: Vec<f64>) -> Self {
+        let mut at =
+            |q: f64| if draws.is_empty() { value } else { crate::statistics::quantile(&mut draws, q) };
+        Interval { value, low: at(0.025).min(value), high: at(0.975).max(value) }
+    }
+}
+
 /// Measured and predicted readings of one output on held-out time, for the overlay.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct Overlay {

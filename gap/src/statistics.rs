@@ -38,26 +38,3 @@ pub fn standard_deviation(values: &[f64]) -> f64 {
     let mean = values.iter().sum::<f64>() / values.len() as f64;
     root_mean_square(&values.iter().map(|v| v - mean).collect::<Vec<_>>())
 }
-
-/// The standard normal distribution function, to 1.2e-7 (the complementary error function of Press et al., "Numerical
-/// Recipes", section 6.2).
-#[must_use]
-pub fn normal_cdf(x: f64) -> f64 {
-    let z = x.abs() / std::f64::consts::SQRT_2;
-    let t = 1.0 / (1.0 + 0.5 * z);
-    const TERMS: [f64; 10] = [
-        -1.265_512_23,
-        1.000_023_68,
-        0.374_091_96,
-        0.096_784_18,
-        -0.186_288_06,
-        0.278_868_07,
-        -1.135_203_98,
-        1.488_515_87,
-        -0.822_152_23,
-        0.170_872_77,
-    ];
-    let sum = TERMS.iter().rev().fold(0.0, |sum, term| sum * t + term);
-    let tail = 0.5 * t * (sum - z * z).exp();
-    if x >= 0.0 { 1.0 - tail } else { tail }
-}

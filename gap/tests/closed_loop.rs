@@ -9,7 +9,7 @@ use parallax_gap::closed_loop::{ClosedLoop, ClosedLoopError, Controlled, Correct
 use parallax_gap::report::Interval;
 use parallax_model::system::{EffectEntry, System, Task};
 use parallax_nodes::pendulum::{self, hidden::HiddenEffect};
-use parallax_runtime::recording::log::{Log, Role, Signal, Source};
+use parallax_runtime::recording::log::{Log, Role, Signal};
 use parallax_runtime::registry::Registry;
 use parallax_sim::Executor;
 use rand::{RngExt, SeedableRng};
@@ -90,18 +90,10 @@ impl Carriage {
             v += 1e-4 * (acts - (1.5 + self.viscous) * v) / 2.0;
             q += 1e-4 * v;
         }
-        let signal = |name: &str, role, unit: &str, values| Signal {
-            name: name.into(),
-            role,
-            unit: unit.into(),
-            times: times.clone(),
-            values,
-            source: Source::default(),
-        };
         let signals = vec![
-            signal("force", Role::Command, "N", forces),
-            signal("position", Role::Measurement, "m", positions),
-            signal("course", Role::Reference, "m", courses),
+            Signal::new("force", Role::Command, "N", times.clone(), forces),
+            Signal::new("position", Role::Measurement, "m", times.clone(), positions),
+            Signal::new("course", Role::Reference, "m", times, courses),
         ];
         Log { title: "carriage".into(), signals, ..Log::default() }
     }

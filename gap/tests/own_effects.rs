@@ -3,7 +3,7 @@
 use parallax_gap::diagnosis::{Options, diagnose};
 use parallax_gap::options::Pattern;
 use parallax_model::system::System;
-use parallax_runtime::recording::log::{Log, Role, Signal, Source};
+use parallax_runtime::recording::log::{Log, Role, Signal};
 
 /// An axis on a spring, near a magnet that its file knows of and takes to be without pull.
 const SYSTEM: &str = r#"format = 1
@@ -56,17 +56,9 @@ fn log(pull: f64) -> Log {
         v += h * (3.0 * u - 4.0 * v - 30.0 * q - pull * away / (0.01 + away * away)) / 2.0;
         q += h * v;
     }
-    let signal = |name: &str, role, unit: &str, values| Signal {
-        name: name.into(),
-        role,
-        unit: unit.into(),
-        times: times.clone(),
-        values,
-        source: Source::default(),
-    };
     let signals = vec![
-        signal("voltage", Role::Command, "V", commands),
-        signal("position", Role::Measurement, "m", readings),
+        Signal::new("voltage", Role::Command, "V", times.clone(), commands),
+        Signal::new("position", Role::Measurement, "m", times, readings),
     ];
     Log { title: "near a magnet".into(), signals, ..Log::default() }
 }

@@ -4,7 +4,7 @@
 
 use parallax_gap::diagnosis::{Diagnosis, DiagnosisError, Options, diagnose};
 use parallax_model::system::System;
-use parallax_runtime::recording::log::{Log, Role, Signal, Source};
+use parallax_runtime::recording::log::{Log, Role, Signal};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -23,14 +23,8 @@ tilt = { value = "tilt", unit = "rad" }
 /// The first one follows 60 ms late, the second one with nine tenths of the way.
 fn log() -> Log {
     let mut random = ChaCha8Rng::seed_from_u64(7);
-    let signal = |name: &str, role: Role, values: Vec<f64>| Signal {
-        name: name.into(),
-        role,
-        unit: "rad".into(),
-        times: (0..1000).map(|k| k * 20_000_000).collect(),
-        values,
-        source: Source::default(),
-    };
+    let times: Vec<i64> = (0..1000).map(|k| k * 20_000_000).collect();
+    let signal = |name: &str, role, values| Signal::new(name, role, "rad", times.clone(), values);
     let goal = |rate: f64, k: i32| {
         (rate * 0.02 * f64::from(k)).sin() + 0.3 * (2.7 * rate * 0.02 * f64::from(k)).sin()
     };

@@ -6,7 +6,7 @@ use parallax_gap::diagnosis::{DiagnosisError, Options, diagnose_all};
 use parallax_gap::experiment::Experiment;
 use parallax_gap::report::Report;
 use parallax_model::system::System;
-use parallax_runtime::recording::log::{Log, Role, Signal, Source};
+use parallax_runtime::recording::log::{Log, Role, Signal};
 use support::{Hidden, SYSTEM, record};
 
 /// The pendulum, with a mass that each recording states.
@@ -24,23 +24,15 @@ fn log(title: &str, hidden: Hidden, seed: u64, begin: f64, keep: impl Fn(usize, 
     let stamp = |t: f64| ((t + begin) * 1e9).round() as i64;
     let read: Vec<_> =
         samples.iter().enumerate().filter(|(k, s)| keep(*k, s.stamp)).map(|(_, s)| s).collect();
-    let signal = |name: &str, role, unit: &str, times, values| Signal {
-        name: name.into(),
-        role,
-        unit: unit.into(),
-        times,
-        values,
-        source: Source::default(),
-    };
     let signals = vec![
-        signal(
+        Signal::new(
             "voltage",
             Role::Command,
             "V",
             inputs[0].times.iter().map(|t| stamp(*t)).collect(),
             inputs[0].values.clone(),
         ),
-        signal(
+        Signal::new(
             "angle",
             Role::Measurement,
             "rad",

@@ -4,7 +4,7 @@ use parallax_gap::timing::{Timing, signals, timing};
 use parallax_nodes::registry;
 use parallax_runtime::delay::Delay;
 use parallax_runtime::graph::GraphSpec;
-use parallax_runtime::recording::log::{Log, Role, Signal, Source};
+use parallax_runtime::recording::log::{Log, Role, Signal};
 use parallax_runtime::recording::{Loss, LossReason, Recording};
 use parallax_runtime::time::from_seconds;
 use parallax_sim::Executor;
@@ -100,14 +100,7 @@ fn losses_and_clocks_are_named() {
 
 fn signal(name: &str, times: Vec<i64>) -> Signal {
     let values = times.iter().map(|t| *t as f64).collect();
-    Signal {
-        name: name.into(),
-        role: Role::Measurement,
-        unit: String::new(),
-        times,
-        values,
-        source: Source::default(),
-    }
+    Signal::new(name, Role::Measurement, "", times, values)
 }
 
 #[test]

@@ -102,14 +102,7 @@ fn an_imported_log_survives_a_file() {
                 values: vec![1.0, -2.5e-300, 0.1 + 0.2],
                 source: Source { file: "log.csv".into(), column: "u".into() },
             },
-            Signal {
-                name: "log".into(),
-                role: Role::Context,
-                unit: String::new(),
-                times: vec![3],
-                values: vec![12.0],
-                source: Source::default(),
-            },
+            Signal::new("log", Role::Context, "", vec![3], vec![12.0]),
         ],
         notes: vec![],
     };

@@ -5,7 +5,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use super::LoopScore;
-use crate::report::Interval;
+use crate::report::{Interval, WORST_SHARE};
 
 /// Draws of the bootstrap.
 const DRAWS: usize = 2000;
@@ -34,7 +34,7 @@ impl Draws {
     /// The recorded score.
     pub(super) fn recorded(&self) -> Interval {
         let all = self.chosen.iter().map(|draw| mean(draw.iter().map(|(e, _)| self.recorded[*e])));
-        around(mean(self.recorded.iter().copied()), all.collect())
+        Interval::of(mean(self.recorded.iter().copied()), all.collect())
     }
 
     /// What a system predicts.
@@ -47,21 +47,21 @@ impl Draws {
         let (score, difference): (Vec<f64>, Vec<f64>) =
             self.chosen.iter().filter_map(|draw| self.drawn(runs, draw)).unzip();
         let (value, away) = self.means(runs);
-        let difference = around(away, difference);
+        let difference = Interval::of(away, difference);
         let agrees = lost == 0 && difference.low <= 0.0 && difference.high >= 0.0;
-        LoopScore { score: Some(around(value, score)), difference: Some(difference), agrees, lost, of }
+        LoopScore { score: Some(Interval::of(value, score)), difference: Some(difference), agrees, lost, of }
     }
 
     /// The part of the difference between `before` and the recorded score that `after` closes.
     pub(super) fn closed(&self, before: &Runs, after: &Runs) -> Option<Interval> {
-        let share = |b: f64, a: f64| (1.0 - a.abs() / b.abs().max(1e-300)).clamp(WORST, 1.0);
+        let share = |b: f64, a: f64| (1.0 - a.abs() / b.abs().max(1e-300)).clamp(WORST_SHARE, 1.0);
         let all = self
             .chosen
             .iter()
             .filter_map(|draw| Some(share(self.drawn(before, draw)?.1, self.drawn(after, draw)?.1)));
         let all: Vec<f64> = all.collect();
         let (b, a) = (self.means(before).1, self.means(after).1);
-        (!all.is_empty() && b.is_finite() && a.is_finite()).then(|| around(share(b, a), all))
+        (!all.is_empty() && b.is_finite() && a.is_finite()).then(|| Interval::of(share(b, a), all))
     }
 
     /// The mean score over all episodes, and how far it is from the recorded one.
@@ -88,20 +88,7 @@ impl Draws {
     }
 }
 
-/// The lowest share that is stated.
-const WORST: f64 = -10.0;
-
 fn mean(values: impl Iterator<Item = f64>) -> f64 {
     let (sum, count) = values.fold((0.0, 0), |(sum, count), value| (sum + value, count + 1));
     sum / f64::from(count)
-}
-
-/// A value between the 2.5 and 97.5 % quantiles of its draws.
-fn around(value: f64, mut draws: Vec<f64>) -> Interval {
-    draws.sort_by(f64::total_cmp);
-    let at = |q: f64| draws.get(((draws.len() - 1) as f64 * q).round() as usize).copied().unwrap_or(value);
-    if draws.is_empty() {
-        return Interval { value, low: value, high: value };
-    }
-    Interval { value, low: at(0.025).min(value), high: at(0.975).max(value) }
 }

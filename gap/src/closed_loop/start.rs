@@ -112,9 +112,8 @@ impl Start {
         Some(Start { time, state, spread: covariance.cholesky()?.unpack() })
     }
 
-    /// A state as it may have been; the first one, of seed `None`, is the most probable.
-    pub(super) fn draw(&self, seed: Option<u64>) -> Vec<f64> {
-        let Some(seed) = seed else { return self.state.iter().copied().collect() };
+    /// A state as it may have been.
+    pub(super) fn draw(&self, seed: u64) -> Vec<f64> {
         let mut random = stream(seed, Purpose::Node, "start");
         let n = self.state.len();
         let normal = DVector::from_iterator(n, (0..n).map(|_| StandardNormal.sample(&mut random)));

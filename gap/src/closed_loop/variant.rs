@@ -115,6 +115,6 @@ impl<'a> Variant<'a> {
 
     /// The machine on its way from `start`; `seed` draws its state and what happens by chance.
     pub(super) fn world(&self, start: &Start, seed: u64) -> World {
-        World::new(&self.machine, &self.seen.experiment, start.time, start.draw(Some(seed)), seed)
+        World::new(&self.machine, &self.seen.experiment, start.time, start.draw(seed), seed)
     }
 }

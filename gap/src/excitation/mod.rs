@@ -189,7 +189,7 @@ impl Design {
     /// Probability of a correct decision between the nearest pair: Φ(δ/2), with δ² tempered as the posterior is.
     #[must_use]
     pub fn probability(&self) -> f64 {
-        crate::statistics::normal_cdf(0.5 * self.separation / TEMPERATURE.sqrt())
+        parallax_runtime::delay::special::normal_cdf(0.5 * self.separation / TEMPERATURE.sqrt())
     }
 
     /// Whether the evidence to be expected tells the nearest pair apart.

@@ -94,6 +94,17 @@ pub struct Signal {
 }
 
 impl Signal {
+    /// A signal that was read from no file.
+    pub fn new(
+        name: impl Into<String>,
+        role: Role,
+        unit: impl Into<String>,
+        times: Vec<i64>,
+        values: Vec<f64>,
+    ) -> Self {
+        Signal { name: name.into(), role, unit: unit.into(), times, values, source: Source::default() }
+    }
+
     /// The first and last stamp, in nanoseconds; `None` without samples.
     pub fn span(&self) -> Option<(i64, i64)> {
         Some((*self.times.first()?, *self.times.last()?))
@@ -198,13 +209,9 @@ mod tests {
     use super::*;
 
     fn log() -> Log {
-        let signal = |name: &str, times: &[i64]| Signal {
-            name: name.into(),
-            role: Role::Measurement,
-            unit: "rad".into(),
-            times: times.into(),
-            values: times.iter().map(|t| *t as f64).collect(),
-            source: Source::default(),
+        let signal = |name: &str, times: &[i64]| {
+            let values = times.iter().map(|t| *t as f64).collect();
+            Signal::new(name, Role::Measurement, "rad", times.into(), values)
         };
         Log {
             title: "two".into(),
