@@ -4,10 +4,10 @@
 
 use std::time::{Duration, Instant};
 
-use parallax_runtime::channel::{ChannelError, Endpoint, Space, Topic};
+use parallax_runtime::channel::{ChannelError, Endpoint, Listener, Space, Topic, Waker};
 
 fn topic(buffer: usize, subscribers: usize) -> Topic {
-    Topic { name: "camera".into(), layout: 0xfeed, words: 3, buffer, subscribers }
+    Topic { name: "camera".into(), layout: 0xfeed, words: 3, buffer, subscribers, held: 0 }
 }
 
 /// Everything of this space that shared memory shows.
@@ -96,21 +96,91 @@ fn two_runs_do_not_meet() {
 fn a_waker_ends_a_wait() {
     let space = Space::create().unwrap();
     let here = Endpoint::new(&space).unwrap();
-    let listener = here.listener("agent/wake", 1).unwrap();
+    let listener = here.listener("agent/wake").unwrap();
     std::thread::scope(|scope| {
         scope.spawn(|| {
             let there = Endpoint::new(&space).unwrap();
             let waker = there.waker("agent/wake").unwrap();
             std::thread::sleep(Duration::from_millis(20));
-            assert_eq!(waker.wake().unwrap(), 1);
+            waker.wake();
         });
         let start = Instant::now();
-        listener.wait(Duration::from_secs(10)).unwrap();
+        listener.wait(Duration::from_secs(10));
         assert!(start.elapsed() < Duration::from_secs(5), "woken, not timed out");
     });
     let start = Instant::now();
-    listener.wait(Duration::from_millis(5)).unwrap();
+    listener.wait(Duration::from_millis(5));
     assert!(start.elapsed() >= Duration::from_millis(4), "without a wake-up the time runs out");
+}
+
+#[test]
+fn a_call_before_the_wait_ends_it_and_many_calls_lose_none() {
+    let space = Space::create().unwrap();
+    let here = Endpoint::new(&space).unwrap();
+    assert!(here.waker("late").is_err(), "a waker needs its listener");
+    let listener = here.listener("late").unwrap();
+    let waker = here.waker("late").unwrap();
+    assert!(!waker.wake(), "nobody sleeps: no system call");
+    let start = Instant::now();
+    listener.wait(Duration::from_secs(10));
+    assert!(start.elapsed() < Duration::from_secs(5), "the call came before the wait and counts");
+
+    // A ball that is passed on: a single call that is lost would leave both waiting until the test is killed.
+    let (ping, pong) = (here.listener("ping").unwrap(), here.listener("pong").unwrap());
+    let (to_ping, to_pong) = (here.waker("ping").unwrap(), here.waker("pong").unwrap());
+    let ball = std::sync::atomic::AtomicU64::new(0);
+    let play = |listener: Listener, waker: Waker, parity: u64| {
+        use std::sync::atomic::Ordering::SeqCst;
+        for turn in (parity..20_000).step_by(2) {
+            while ball.load(SeqCst) != turn {
+                listener.wait(Duration::from_secs(60));
+            }
+            ball.store(turn + 1, SeqCst);
+            waker.wake();
+        }
+    };
+    std::thread::scope(|scope| {
+        let start = Instant::now();
+        scope.spawn(|| play(pong, to_ping, 1));
+        play(ping, to_pong, 0);
+        assert!(start.elapsed() < Duration::from_secs(50), "a call was lost");
+    });
+}
+
+#[test]
+fn a_large_message_is_written_and_read_in_place() {
+    let space = Space::create().unwrap();
+    let here = Endpoint::new(&space).unwrap();
+    let image = Topic { words: 1 << 20, buffer: 2, held: 2, ..topic(2, 1) };
+    let publisher = here.create(&image).unwrap().publisher().unwrap();
+    let subscriber = here.open(&image).unwrap().subscriber().unwrap();
+    let mut places = Vec::new();
+    let mut kept = Vec::new();
+    // Messages of different lengths, kept beyond the next ones.
+    for (number, words) in [(1, 1 << 20), (2, 3)] {
+        let mut loan = publisher.loan(words).unwrap();
+        assert!(publisher.loan(1).is_err(), "one message is written at a time");
+        loan[0] = number;
+        loan[words - 1] = 10 * number;
+        places.push(loan.len());
+        assert_eq!(loan.send().unwrap(), 1);
+        kept.push(subscriber.take().unwrap().unwrap());
+    }
+    assert!(subscriber.take().unwrap().is_none());
+    assert_eq!(places, [kept[0].len(), kept[1].len()]);
+    assert_eq!((kept[0][0], kept[0][(1 << 20) - 1], kept[1][0], kept[1][2]), (1, 10, 2, 20));
+    // A message that goes on being looked at is not overwritten by those that come.
+    for _ in 0..8 {
+        let mut loan = publisher.loan(3).unwrap();
+        loan.fill(9);
+        loan.send().unwrap();
+    }
+    assert_eq!((kept[0][0], kept[1][0]), (1, 2));
+    let third = subscriber.take().unwrap().unwrap();
+    assert!(subscriber.take().is_err(), "two may be kept, and one looked at");
+    drop((kept, third));
+    assert_eq!(&*subscriber.take().unwrap().unwrap(), [9, 9, 9]);
+    assert!(matches!(publisher.loan((1 << 20) + 1), Err(ChannelError::TooLong { .. })));
 }
 
 #[test]

@@ -9,12 +9,16 @@
 //! on arrival, and the hash of the message layout is an attribute of the service, so that two programs that
 //! disagree about a layout cannot exchange a message.
 //!
+//! What is large, such as an image, need not be copied: [`Publisher::loan`] gives the place in shared memory where the
+//! message is to be written, [`Subscriber::take`] the place where it lies, for as long as the [`View`] is kept. 8 MB
+//! then cost what 64 bytes cost.
+//!
 //! ```
 //! use parallax_runtime::channel::{Endpoint, Space, Topic};
 //!
 //! # fn main() -> Result<(), parallax_runtime::channel::ChannelError> {
 //! let space = Space::create()?;
-//! let topic = Topic { name: "camera".into(), layout: 7, words: 4, buffer: 8, subscribers: 1 };
+//! let topic = Topic { name: "camera".into(), layout: 7, words: 4, buffer: 8, subscribers: 1, held: 0 };
 //! let here = Endpoint::new(&space)?;
 //! let service = here.create(&topic)?;
 //! let subscriber = service.subscriber()?;
@@ -27,14 +31,17 @@
 //! # }
 //! ```
 
+pub(crate) mod futex;
 mod port;
 mod space;
+mod wake;
 
 use std::io;
 use std::path::PathBuf;
 
-pub use port::{Endpoint, Listener, Publisher, Service, Subscriber, Waker};
+pub use port::{Endpoint, Loan, Publisher, Service, Subscriber, View};
 pub use space::{Space, clean_stale};
+pub use wake::{Listener, Waker};
 
 /// What the two ends of a channel must agree on.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -50,20 +57,25 @@ pub struct Topic {
     pub buffer: usize,
     /// Number of subscribers that the graph gives this topic.
     pub subscribers: usize,
+    /// Messages that a subscriber may keep in place at a time, as [`View`]s.
+    pub held: usize,
 }
 
 impl Topic {
     /// Shared memory that this topic needs, in bytes, roughly: the samples of its publisher and a page for
     /// each of the small segments around them.
     pub fn memory(&self) -> u64 {
-        let samples = self.subscribers * (self.buffer + BORROWED) + LOANED;
+        let samples = self.subscribers * (self.buffer + self.borrowed()) + LOANED;
         let sample = self.words * 8 + SAMPLE_OVERHEAD;
         (samples * sample) as u64 + (self.subscribers as u64 + 4) * 4096
     }
+
+    /// Samples that one subscriber holds at a time: those it keeps, and the one being looked at.
+    fn borrowed(&self) -> usize {
+        self.held + 1
+    }
 }
 
-/// Samples that one subscriber holds at a time.
-const BORROWED: usize = 1;
 /// Samples that one publisher fills at a time.
 const LOANED: usize = 1;
 /// Bytes around the payload of a sample: header and allocator bookkeeping.

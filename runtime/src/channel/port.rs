@@ -1,7 +1,8 @@
-//! Publishers, subscribers and wake-ups: the thin layer over iceoryx2.
+//! Publishers and subscribers: the thin layer over iceoryx2.
 
 use std::fmt::Debug;
-use std::time::Duration;
+use std::ops::{Deref, DerefMut};
+use std::path::PathBuf;
 
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
@@ -10,7 +11,7 @@ use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
-use super::{BORROWED, ChannelError, LOANED, Space, Topic};
+use super::{ChannelError, LOANED, Listener, Space, Topic, Waker};
 
 type Ipc = ipc::Service;
 
@@ -21,6 +22,8 @@ const LAYOUT: &str = "parallax.layout";
 #[derive(Debug)]
 pub struct Endpoint {
     node: iceoryx2::node::Node<Ipc>,
+    /// The run's directory, where the wake-ups lie.
+    run: PathBuf,
 }
 
 /// A channel that exists: opened or created.
@@ -45,18 +48,17 @@ pub struct Subscriber {
     topic: Topic,
 }
 
-/// Wakes the listener of the same name.
+/// A message being written, in the place in shared memory from which it is read.
 #[derive(Debug)]
-pub struct Waker {
-    port: iceoryx2::port::notifier::Notifier<Ipc>,
-    name: String,
+pub struct Loan<'a> {
+    sample: iceoryx2::sample_mut::SampleMut<Ipc, [u64], ()>,
+    topic: &'a Topic,
 }
 
-/// Waits until a [`Waker`] of the same name calls.
+/// A message in the place where its sender wrote it. It stays as it is until the view is dropped.
 #[derive(Debug)]
-pub struct Listener {
-    port: iceoryx2::port::listener::Listener<Ipc>,
-    name: String,
+pub struct View {
+    sample: iceoryx2::sample::Sample<Ipc, [u64], ()>,
 }
 
 /// A transport error with the channel's name and what was tried.
@@ -84,7 +86,7 @@ impl Endpoint {
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<Ipc>()
             .map_err(|e| failed("(all)", "open shared memory")(&e))?;
-        Ok(Self { node })
+        Ok(Self { node, run: space.path().into() })
     }
 
     /// Creates a channel. It exists while somebody holds the service or a port of it.
@@ -104,7 +106,7 @@ impl Endpoint {
             .max_subscribers(topic.subscribers.max(1))
             .max_nodes(topic.subscribers + 2)
             .subscriber_max_buffer_size(topic.buffer.max(1))
-            .subscriber_max_borrowed_samples(BORROWED)
+            .subscriber_max_borrowed_samples(topic.borrowed())
             .history_size(0)
             // The newest message is worth more than the oldest: a receiver that falls behind loses the oldest,
             // and counts the gap in the sequence numbers.
@@ -139,36 +141,22 @@ impl Endpoint {
         }
     }
 
-    /// The listener `name`, which waits for `wakers` wakers.
+    /// The listener `name`: what every waker of that name wakes. A name has one listener at a time.
     ///
     /// # Errors
     ///
-    /// [`ChannelError::Transport`].
-    pub fn listener(&self, name: &str, wakers: usize) -> Result<Listener, ChannelError> {
-        let fail = failed(name, "listen");
-        let service = self
-            .node
-            .service_builder(&service_name(name)?)
-            .event()
-            .max_listeners(1)
-            .max_notifiers(wakers.max(1))
-            .max_nodes(wakers + 2)
-            .open_or_create()
-            .map_err(|e| fail(&e))?;
-        let port = service.listener_builder().create().map_err(|e| fail(&e))?;
-        Ok(Listener { port, name: name.into() })
+    /// [`ChannelError::Io`] when it cannot be put into the run's directory.
+    pub fn listener(&self, name: &str) -> Result<Listener, ChannelError> {
+        Listener::create(&self.run, name)
     }
 
     /// A waker of the listener `name`, which must exist.
     ///
     /// # Errors
     ///
-    /// [`ChannelError::Transport`].
+    /// [`ChannelError::Io`] when there is no such listener.
     pub fn waker(&self, name: &str) -> Result<Waker, ChannelError> {
-        let fail = failed(name, "reach the listener");
-        let service = self.node.service_builder(&service_name(name)?).event().open().map_err(|e| fail(&e))?;
-        let port = service.notifier_builder().create().map_err(|e| fail(&e))?;
-        Ok(Waker { port, name: name.into() })
+        Waker::open(&self.run, name)
     }
 }
 
@@ -224,15 +212,34 @@ impl Publisher {
     ///
     /// [`ChannelError::TooLong`], or [`ChannelError::Transport`].
     pub fn send(&self, words: usize, word: impl FnMut(usize) -> u64) -> Result<usize, ChannelError> {
-        if words > self.topic.words {
-            return Err(ChannelError::TooLong {
-                topic: self.topic.name.clone(),
-                words,
-                limit: self.topic.words,
-            });
-        }
+        self.check(words)?;
         let sample = self.port.loan_slice_uninit(words).map_err(|e| failed(&self.topic.name, "send")(&e))?;
         sample.write_from_fn(word).send().map_err(|e| failed(&self.topic.name, "send")(&e))
+    }
+
+    /// The place for a message of `words` words, to be written and then [sent](Loan::send): nothing is copied. Words
+    /// that are not written hold what an earlier message left there. One message can be written at a time.
+    ///
+    /// # Errors
+    ///
+    /// [`ChannelError::TooLong`], or [`ChannelError::Transport`].
+    pub fn loan(&self, words: usize) -> Result<Loan<'_>, ChannelError> {
+        self.check(words)?;
+        let sample = self
+            .port
+            .loan_slice_uninit(words)
+            .map_err(|e| failed(&self.topic.name, "begin a message")(&e))?;
+        // SAFETY: the words lie in a mapped file, whose bytes are always initialised: with zeros at first, with an
+        // earlier message later. Every bit pattern is a valid u64.
+        let sample = unsafe { sample.assume_init() };
+        Ok(Loan { sample, topic: &self.topic })
+    }
+
+    fn check(&self, words: usize) -> Result<(), ChannelError> {
+        if words <= self.topic.words {
+            return Ok(());
+        }
+        Err(ChannelError::TooLong { topic: self.topic.name.clone(), words, limit: self.topic.words })
     }
 
     /// Connects to the subscribers that exist by now, and gives their number. Until this is done, or a
@@ -269,43 +276,51 @@ impl Subscriber {
         }
     }
 
+    /// Takes the next waiting message, if there is one, where it lies. At most [`Topic::held`] views may be kept.
+    ///
+    /// # Errors
+    ///
+    /// [`ChannelError::Transport`], also when too many views are kept.
+    pub fn take(&self) -> Result<Option<View>, ChannelError> {
+        let taken = self.port.receive().map_err(|e| failed(&self.topic.name, "receive")(&e))?;
+        Ok(taken.map(|sample| View { sample }))
+    }
+
     /// What was agreed for this channel.
     pub fn topic(&self) -> &Topic {
         &self.topic
     }
 }
 
-impl Waker {
-    /// Wakes the listener; gives the number of listeners that were reached, 0 or 1.
+impl Loan<'_> {
+    /// Sends the message; gives the number of subscribers that it was put before.
     ///
     /// # Errors
     ///
     /// [`ChannelError::Transport`].
-    pub fn wake(&self) -> Result<usize, ChannelError> {
-        self.port.notify().map_err(|e| failed(&self.name, "wake the listener")(&e))
+    pub fn send(self) -> Result<usize, ChannelError> {
+        self.sample.send().map_err(|e| failed(&self.topic.name, "send")(&e))
     }
 }
 
-impl Listener {
-    /// Waits until somebody wakes it, or the time is over.
-    ///
-    /// # Errors
-    ///
-    /// [`ChannelError::Transport`].
-    pub fn wait(&self, time: Duration) -> Result<(), ChannelError> {
-        // The transport's own wait counts in the kernel's ticks and wakes up to two of them (8 ms) late;
-        // ppoll counts in nanoseconds.
-        // SAFETY: the descriptor belongs to `self.port`, which outlives this function, and is only polled.
-        let descriptor = unsafe { self.port.file_descriptor().native_handle() };
-        let mut polled = libc::pollfd { fd: descriptor, events: libc::POLLIN, revents: 0 };
-        let time = libc::timespec {
-            tv_sec: libc::time_t::try_from(time.as_secs()).unwrap_or(libc::time_t::MAX),
-            tv_nsec: time.subsec_nanos().into(),
-        };
-        // SAFETY: the two pointers are to locals that outlive the call, the count is 1, and no signal mask is set.
-        if unsafe { libc::ppoll(&mut polled, 1, &time, std::ptr::null()) } > 0 {
-            self.port.try_wait(|_| {}).map_err(|e| failed(&self.name, "wait")(&e))?;
-        }
-        Ok(())
+impl Deref for Loan<'_> {
+    type Target = [u64];
+
+    fn deref(&self) -> &[u64] {
+        self.sample.payload()
+    }
+}
+
+impl DerefMut for Loan<'_> {
+    fn deref_mut(&mut self) -> &mut [u64] {
+        self.sample.payload_mut()
+    }
+}
+
+impl Deref for View {
+    type Target = [u64];
+
+    fn deref(&self) -> &[u64] {
+        self.sample.payload()
     }
 }

@@ -62,6 +62,7 @@ pub(super) fn output(graph: &Graph, node: usize) -> Topic {
         words: MESSAGE_HEAD + plan.kind.output().leaves.len(),
         buffer: queue,
         subscribers: plan.outputs.len(),
+        held: 0,
     }
 }
 
@@ -82,6 +83,7 @@ pub(super) fn records(graph: &Graph, node: usize) -> Topic {
         words: (STEP_HEAD + words + layout.leaves.len()).max(LOSS_WORDS),
         buffer: ((graph.spec().nodes[node].rate * RECORDER_SLACK) as usize).clamp(64, 32_768),
         subscribers: 1,
+        held: 0,
     }
 }
 
@@ -98,11 +100,6 @@ pub(super) fn receivers(graph: &Graph, node: usize) -> Vec<usize> {
     receivers.sort_unstable();
     receivers.dedup();
     receivers
-}
-
-/// How many nodes wake this one.
-pub(super) fn wakers(graph: &Graph, node: usize) -> usize {
-    (0..graph.nodes().len()).filter(|&sender| receivers(graph, sender).contains(&node)).count()
 }
 
 /// Shared memory that a run takes, in bytes, roughly.

@@ -120,7 +120,7 @@ impl Stepper {
             node,
             inbox: Inbox::new(graph, index),
             inputs: inputs.into(),
-            listener: endpoint.listener(&plan::wake(graph, index), plan::wakers(graph, index))?,
+            listener: endpoint.listener(&plan::wake(graph, index))?,
             output: endpoint.open(&plan::output(graph, index))?.publisher()?,
             wakers: Vec::new(),
             records,
@@ -172,12 +172,12 @@ impl Stepper {
                     if now >= end {
                         return Ok(());
                     }
-                    self.pause(end - now)?;
+                    self.pause(end - now);
                 }
                 Wait::Until(time) if now >= time => self.step(clock, now, time)?,
                 Wait::Until(time) => {
                     let left = time - now - self.settings.spin;
-                    if left > 0 { self.pause(left)? } else { std::hint::spin_loop() }
+                    if left > 0 { self.pause(left) } else { std::hint::spin_loop() }
                 }
                 Wait::Message { .. } if now >= end => return Ok(()),
                 Wait::Message { .. } => {
@@ -185,9 +185,9 @@ impl Stepper {
                     let gate = self.inbox.gate();
                     let left = gate.due().saturating_add(gate.shift()) - self.settings.spin - now;
                     match left {
-                        1.. => self.pause(left)?,
+                        1.. => self.pause(left),
                         _ if left > -2 * self.settings.spin => std::hint::spin_loop(),
-                        _ => self.pause(PATIENCE)?,
+                        _ => self.pause(PATIENCE),
                     }
                 }
                 Wait::Stop { input } => {
@@ -201,8 +201,8 @@ impl Stepper {
     }
 
     /// Sleeps until a message comes, at most this long.
-    fn pause(&self, time: Nanos) -> Result<(), ChannelError> {
-        self.listener.wait(Duration::from_nanos(time.clamp(0, PATIENCE) as u64))
+    fn pause(&self, time: Nanos) {
+        self.listener.wait(Duration::from_nanos(time.clamp(0, PATIENCE) as u64));
     }
 
     /// Takes everything that has arrived, each message stamped with the time it was taken.
@@ -288,7 +288,7 @@ impl Stepper {
         })?;
         self.undelivered += self.output.topic().subscribers.saturating_sub(delivered) as u64;
         for waker in &self.wakers {
-            waker.wake()?;
+            waker.wake();
         }
         if let Some(records) = &mut self.records {
             let length = records.step([seq, due as u64, start as u64, end as u64], &self.inbox, values);

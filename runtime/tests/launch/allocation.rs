@@ -51,7 +51,7 @@ impl Node for Counted {
 fn transport(words: usize) -> u64 {
     let space = Space::create().unwrap();
     let here = Endpoint::new(&space).unwrap();
-    let topic = Topic { name: "any".into(), layout: 1, words, buffer: 8, subscribers: 1 };
+    let topic = Topic { name: "any".into(), layout: 1, words, buffer: 8, subscribers: 1, held: 0 };
     let publisher = here.create(&topic).unwrap().publisher().unwrap();
     let subscriber = here.open(&topic).unwrap().subscriber().unwrap();
     let count = |rounds: u64| {
