@@ -10,6 +10,7 @@ use std::sync::Arc;
 use parallax_model::node_model::NodeModel;
 use parallax_model::tree::Tree;
 
+use crate::graph::{SafeOutput, SafeValue};
 use crate::model_node::{ModelKind, ModelStart};
 use crate::node::{ErasedNode, Layout, Message, Node, NodeContext, NodeError, Port};
 
@@ -58,6 +59,7 @@ pub struct NodeKind {
     inputs: Vec<InputPort>,
     output: Layout,
     initial: Vec<f64>,
+    safe: Option<SafeOutput>,
     deterministic: bool,
     stand_in: bool,
     model: Option<ModelKind>,
@@ -90,6 +92,7 @@ impl NodeKind {
             inputs: Vec::new(),
             output,
             initial,
+            safe: None,
             deterministic: true,
             stand_in: false,
             model: None,
@@ -175,6 +178,19 @@ impl NodeKind {
         self
     }
 
+    /// What receivers are given when a node of this kind is gone, hangs or is too late: a command that does no harm. The
+    /// graph or its launch settings may say otherwise.
+    ///
+    /// # Panics
+    ///
+    /// When `M` is not the kind's output.
+    #[must_use]
+    pub fn safe<M: Message>(mut self, message: &M) -> Self {
+        assert_eq!(self.output, Layout::of::<M>(), "the safe output must be of the kind's output");
+        self.safe = Some(SafeOutput::new(message.to_vec().into_iter().map(SafeValue::Number)));
+        self
+    }
+
     /// Marks the kind as one whose outputs do not follow from its inputs and seed alone: a driver of hardware, or a
     /// node that reads the clock. Replay compares it without expecting the same bits.
     #[must_use]
@@ -204,6 +220,11 @@ impl NodeKind {
     /// The leaves of the initial message.
     pub fn initial_message(&self) -> &[f64] {
         &self.initial
+    }
+
+    /// What receivers are given when a node of this kind is gone, if the kind says so.
+    pub fn safe_output(&self) -> Option<&SafeOutput> {
+        self.safe.as_ref()
     }
 
     /// Whether equal inputs and an equal seed give equal outputs, bit for bit.

@@ -1,15 +1,15 @@
 //! `parallax run`: a graph in real time, one process for each node.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::anyhow;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
-use parallax_runtime::launch::{self, End, Mode, RunError, RunOptions, RunReport};
+use parallax_runtime::launch::{self, End, LaunchSpec, RunError, RunOptions, RunReport};
 use parallax_runtime::time::{Nanos, to_seconds};
 
 use super::args::{NodeChange, Play, duration, graph_spec, make_parent};
-use super::failure::{Failure, Outcome};
+use super::failure::{Failure, Outcome, Sort};
 use super::output;
 
 #[derive(Args)]
@@ -34,10 +34,21 @@ pub(crate) struct Arguments {
     /// Let a node send what a command file says (CSV: time,NODE.LEAF), such as `parallax experiment` writes.
     #[arg(long, value_name = "NODE=FILE")]
     play: Vec<Play>,
-    /// Run the nodes as threads of one process.
+    /// How the nodes are run: process or thread, core, real-time policy, waiting, deadlines, restarts, safe outputs
+    /// (docs/real-time.md). Without it, the launch.toml beside the graph.toml, if there is one.
+    #[arg(long, value_name = "FILE")]
+    launch: Option<PathBuf>,
+    /// Change a launch setting of a node, or of all nodes, before the file: agent.policy=fifo, defaults.restart=always.
+    #[arg(long = "set", value_name = "NODE.SETTING=VALUE")]
+    settings: Vec<String>,
+    /// Run the nodes as threads of one process: --set defaults.run_as=thread.
     #[arg(long)]
     threads: bool,
-    /// How long before its time a step polls instead of sleeping, for nodes with a core of their own.
+    /// Ask for SCHED_FIFO and locked memory: --set defaults.policy=fifo --set defaults.lock_memory=true.
+    #[arg(long)]
+    real_time: bool,
+    /// How long before its time a step polls instead of sleeping, for nodes with a core of their own:
+    /// --set defaults.wait=spin-then-block --set defaults.spin=SECONDS.
     #[arg(long, value_name = "SECONDS", value_parser = duration, allow_negative_numbers = true)]
     spin: Option<Nanos>,
     /// Leave nodes without a core to the system instead of spreading them over the cores.
@@ -62,8 +73,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         duration: arguments.duration,
         seed: arguments.seed,
         recording: out.clone(),
-        mode: if arguments.threads { Mode::Threads } else { Mode::Processes },
-        spin: arguments.spin.unwrap_or(0),
+        launch: launch_spec(arguments)?,
         spread: !arguments.no_spread,
         progress: Some(watch(&bar)),
         ..RunOptions::default()
@@ -79,6 +89,31 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         }
     }
     ended(&report)
+}
+
+/// The launch settings: those of the file, changed by the flags.
+fn launch_spec(arguments: &Arguments) -> Result<LaunchSpec, Failure> {
+    let beside = || Some(Path::new(&arguments.graph).with_file_name("launch.toml"));
+    let graph_is_a_file = parallax_nodes::graph(&arguments.graph).is_none();
+    let found = beside().filter(|path| graph_is_a_file && path.is_file());
+    let mut launch = match arguments.launch.clone().or(found) {
+        Some(path) => LaunchSpec::read(&path).input()?,
+        None => LaunchSpec::default(),
+    };
+    let mut changes = Vec::new();
+    if arguments.threads {
+        changes.push("defaults.run_as=thread".into());
+    }
+    if arguments.real_time {
+        changes.extend(["defaults.policy=fifo".into(), "defaults.lock_memory=true".into()]);
+    }
+    if let Some(spin) = arguments.spin {
+        changes.push("defaults.wait=spin-then-block".into());
+        changes.push(format!("defaults.spin={:?}", to_seconds(spin)));
+    }
+    changes.extend(arguments.settings.iter().cloned());
+    changes.iter().try_for_each(|change| launch.change(change)).input()?;
+    Ok(launch)
 }
 
 /// A bar that fills over the duration, or turns until Ctrl-C.
@@ -105,7 +140,9 @@ pub(crate) fn watch(bar: &ProgressBar) -> Box<dyn FnMut(launch::Progress) -> boo
 /// What the graph says wrong is bad input; what goes wrong on this machine is not.
 pub(crate) fn sort(error: RunError) -> Failure {
     match error {
-        RunError::Graph(_) | RunError::PrivateForNobody { .. } => Failure::input(error),
+        RunError::Graph(_) | RunError::Settings(_) | RunError::PrivateForNobody { .. } => {
+            Failure::input(error)
+        }
         _ => Failure::runtime(error),
     }
 }

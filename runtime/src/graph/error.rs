@@ -86,6 +86,40 @@ pub enum GraphError {
         /// All leaves of its output.
         known: String,
     },
+    /// A safe output names a leaf that the node's output does not have.
+    #[error(
+        "the safe output of node `{node}` names the leaf `{leaf}`, which its output lacks{suggestion}; its leaves are \
+         {known}"
+    )]
+    SafeLeaf {
+        /// The node.
+        node: String,
+        /// The leaf.
+        leaf: String,
+        /// The nearest leaf.
+        suggestion: Suggestion,
+        /// All leaves of its output.
+        known: String,
+    },
+    /// A safe output leaves a leaf open.
+    #[error(
+        "the safe output of node `{node}` says nothing about the leaf `{leaf}`; give it a number or \"hold\" (or all \
+         others at once: \"*\" = \"hold\")"
+    )]
+    SafeMissing {
+        /// The node.
+        node: String,
+        /// The leaf.
+        leaf: String,
+    },
+    /// A safe output that nobody could apply.
+    #[error("the safe output of node `{node}` is not a finite number at the leaf `{leaf}`")]
+    SafeNotFinite {
+        /// The node.
+        node: String,
+        /// The leaf.
+        leaf: String,
+    },
     /// A connection's delay cannot follow from an output.
     #[error(
         "the delay of connection {from} -> {to} follows from the output's leaf `{leaf}`; only a node's `computation` can \

@@ -6,11 +6,13 @@
 
 mod builder;
 mod error;
+mod safe;
 mod spec;
 mod validate;
 
 pub use builder::{ConnectionBuilder, GraphBuilder, NodeBuilder, NodeHandle};
 pub use error::{GraphError, GraphWarning, MAX_WINDOW};
+pub use safe::{SafeOutput, SafeValue};
 pub use spec::{
     ConnectionSpec, GraphSpec, JitterPolicy, NodeSpec, OnDeadSender, Parameters, PlantSpec, Scheduling,
 };
@@ -50,6 +52,8 @@ pub struct NodePlan {
     pub on_dead_sender: OnDeadSender,
     /// The core it is pinned to.
     pub core: Option<usize>,
+    /// What its receivers are given when it is gone, hangs or is too late.
+    pub safe: Option<SafeOutput>,
     /// The connections that feed it, one per input of the kind and in that order.
     pub inputs: Vec<usize>,
     /// The connections that it feeds, in the order of the graph.

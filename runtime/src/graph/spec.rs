@@ -1,8 +1,10 @@
 //! A graph as data: what stands in `graph.toml`, and what is attached to a recording.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
-use super::GraphError;
+use super::{GraphError, SafeValue};
 use crate::delay::Delay;
 pub use crate::node::Parameters;
 
@@ -86,6 +88,10 @@ pub struct NodeSpec {
     /// What it does when a node it waits for is gone.
     #[serde(default)]
     pub on_dead_sender: OnDeadSender,
+    /// What its receivers are given when it is gone, hangs or is too late: a value for each leaf of its output, or
+    /// `"hold"` for the last one sent. `"*"` stands for the leaves without a line of their own. Without it, the kind's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub safe: Option<BTreeMap<String, SafeValue>>,
 }
 
 impl NodeSpec {
@@ -101,6 +107,7 @@ impl NodeSpec {
             advance: false,
             core: None,
             on_dead_sender: OnDeadSender::default(),
+            safe: None,
         }
     }
 }
@@ -246,6 +253,8 @@ mod tests {
         camera.parameters.insert("gain".into(), serde_json::json!(0.1));
         camera.parameters.insert("nested".into(), serde_json::json!({"list": [1, 2], "on": true}));
         camera.core = Some(1);
+        camera.safe =
+            Some(BTreeMap::from([("angle".into(), SafeValue::Number(0.5)), ("*".into(), SafeValue::Hold)]));
         camera.scheduling = Scheduling::Frequency;
         let mut connection = ConnectionSpec::new("camera", "agent");
         connection.delay = Delay::LogNormal { mean: 0.01, std: 0.003 };

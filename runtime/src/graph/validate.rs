@@ -5,7 +5,9 @@ use std::collections::BTreeMap;
 use parallax_model::system::Suggestion;
 
 use super::error::MAX_WINDOW;
-use super::{ConnectionPlan, ConnectionSpec, Graph, GraphError, GraphSpec, GraphWarning, NodePlan};
+use super::{
+    ConnectionPlan, ConnectionSpec, Graph, GraphError, GraphSpec, GraphWarning, NodePlan, SafeOutput,
+};
 use crate::registry::Registry;
 use crate::time::Grid;
 
@@ -99,6 +101,7 @@ fn plan_nodes(spec: &GraphSpec, registry: &Registry) -> Result<Vec<NodePlan>, Gr
                 known: list(leaves()),
             });
         }
+        let safe = SafeOutput::plan(&name, node.safe.as_ref(), kind)?;
         nodes.push(NodePlan {
             name,
             kind: kind.clone(),
@@ -108,6 +111,7 @@ fn plan_nodes(spec: &GraphSpec, registry: &Registry) -> Result<Vec<NodePlan>, Gr
             advance: node.advance,
             on_dead_sender: node.on_dead_sender,
             core: node.core,
+            safe,
             inputs: Vec::new(),
             outputs: Vec::new(),
             rank: 0,

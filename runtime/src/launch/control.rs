@@ -31,8 +31,8 @@ pub(super) enum Order {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Answer {
-    /// The node exists and its channels are open.
-    Opened { warnings: Vec<String> },
+    /// The node exists and its channels are open; what the system refused it.
+    Opened { refused: Vec<String> },
     /// Connected: the number of receivers of its output, and of its records.
     Connected { receivers: usize, recorders: usize },
     /// The node cannot go on.

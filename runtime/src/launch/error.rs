@@ -3,6 +3,7 @@
 use std::io;
 
 use super::report::Exit;
+use super::settings::SettingsError;
 use crate::channel::ChannelError;
 use crate::graph::GraphError;
 use crate::recording::RecordingError;
@@ -14,6 +15,18 @@ pub enum RunError {
     /// The graph cannot run.
     #[error(transparent)]
     Graph(#[from] GraphError),
+    /// The launch settings do not fit the graph.
+    #[error(transparent)]
+    Settings(#[from] SettingsError),
+    /// The system refused settings, and the run was to stop then.
+    #[error(
+        "the system refuses what the launch settings ask for, and `refused = \"stop\"` is set: {}",
+        refused.join("; ")
+    )]
+    Refused {
+        /// What was refused, and what to do about it.
+        refused: Vec<String>,
+    },
     /// Shared memory or a channel in it does not work.
     #[error(transparent)]
     Channel(#[from] ChannelError),

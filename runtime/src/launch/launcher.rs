@@ -7,9 +7,10 @@ use super::error::RunError;
 use super::plan::{self, RUN_FILE, RunFile, Settings};
 use super::recorder::Recorder;
 use super::report::{End, Exit, NodeReport, RunReport};
+use super::settings::{NodeSettings, Refused, RunAs};
 use super::signals::Signals;
 use super::worker::Worker;
-use super::{Mode, Progress, RunOptions, worker_main};
+use super::{Progress, RunOptions, cores, worker_main};
 use crate::channel::{Endpoint, Service, Space};
 use crate::clock::{WallClock, monotonic};
 use crate::graph::{Graph, GraphSpec, OnDeadSender};
@@ -32,10 +33,14 @@ const TICK: i32 = 50;
 /// node is reported, not an error: see [`RunReport::failure`].
 pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Result<RunReport, RunError> {
     let called = monotonic();
+    let mut spec = spec.clone();
+    options.launch.put_into(&mut spec)?;
     let graph = spec.validate(registry)?;
+    let mut nodes = options.launch.resolve(&graph, &options.base())?;
     let signals = if options.signals { Some(Signals::watch().map_err(RunError::Signals)?) } else { None };
-    let (cores, mut warnings) = cores(&graph, options.spread)?;
-    check_private(&graph, &options)?;
+    let (mut warnings, refused) = cores::assign(&graph, &mut nodes, options.spread)?;
+    heed(refused, options.launch.refused, &mut warnings)?;
+    check_private(&graph, &nodes, &options)?;
     let space = Space::create()?;
     let memory = plan::memory(&graph, options.recording.is_some());
     space.reserve(memory)?;
@@ -43,9 +48,7 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
         seed: options.seed,
         duration: options.duration,
         recording: options.recording.is_some(),
-        spin: options.spin,
-        real_time: options.real_time,
-        cores,
+        nodes,
     };
     let file = RunFile { graph: graph.spec().clone(), settings: settings.clone() };
     let file = serde_json::to_vec(&file).map_err(|e| crate::channel::ChannelError::Io {
@@ -64,7 +67,8 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
     };
     let workers = start(&graph, &settings, &space, &options)?;
     let mut crew = Crew { graph: &graph, reports: vec![None; workers.len()], workers, recorder };
-    warnings.extend(crew.handshake(&settings, options.patience)?);
+    let refused = crew.handshake(&settings, options.patience)?;
+    heed(refused, options.launch.refused, &mut warnings)?;
 
     let clock = WallClock::starting_in(LEAD);
     if let Some(recorder) = &mut crew.recorder {
@@ -99,27 +103,19 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
     })
 }
 
-/// The core of each node: its own, or one of those that exist in turn.
-fn cores(graph: &Graph, spread: bool) -> Result<(Vec<Option<usize>>, Vec<String>), RunError> {
-    let available: Vec<usize> =
-        core_affinity::get_core_ids().unwrap_or_default().iter().map(|core| core.id).collect();
-    graph.check_cores(&available)?;
-    let warnings = graph.warnings().iter().map(ToString::to_string).collect();
-    // Cores that no node claims come first.
-    let claimed = |core: &usize| graph.nodes().iter().any(|node| node.core == Some(*core));
-    let (taken, mut free): (Vec<usize>, Vec<usize>) = available.into_iter().partition(claimed);
-    free.extend(taken);
-    let mut next = free.iter().copied().cycle();
-    let core = |claim: Option<usize>| claim.or_else(|| if spread { next.next() } else { None });
-    Ok((graph.nodes().iter().map(|node| node.core).map(core).collect(), warnings))
+/// What the system refused becomes a warning, or the end, as was asked.
+fn heed(refused: Vec<String>, then: Refused, warnings: &mut Vec<String>) -> Result<(), RunError> {
+    if then == Refused::Stop && !refused.is_empty() {
+        return Err(RunError::Refused { refused });
+    }
+    warnings.extend(refused);
+    Ok(())
 }
 
-fn check_private(graph: &Graph, options: &RunOptions) -> Result<(), RunError> {
+fn check_private(graph: &Graph, nodes: &[NodeSettings], options: &RunOptions) -> Result<(), RunError> {
     for node in options.private.keys() {
-        if graph.index(node).is_none() {
-            return Err(RunError::PrivateForNobody { node: node.clone() });
-        }
-        if options.mode == Mode::Threads {
+        let index = graph.index(node).ok_or_else(|| RunError::PrivateForNobody { node: node.clone() })?;
+        if nodes[index].run_as == RunAs::Thread {
             return Err(RunError::PrivateNeedsProcesses { node: node.clone() });
         }
     }
@@ -146,12 +142,12 @@ fn start(
 ) -> Result<Vec<Worker>, RunError> {
     let none = Default::default();
     let start = |(index, node): (usize, &crate::graph::NodePlan)| {
-        let worker = match options.mode {
-            Mode::Processes => {
+        let worker = match settings.nodes[index].run_as {
+            RunAs::Process => {
                 let private = options.private.get(&node.name).unwrap_or(&none);
                 Worker::process(&options.node_command, space.path(), &node.name, private)
             }
-            Mode::Threads => {
+            RunAs::Thread => {
                 let (graph, settings, run) = (graph.clone(), settings.clone(), space.path().to_path_buf());
                 Worker::thread(&node.name, move |stream| {
                     worker_main::serve(&graph, index, &settings, &run, stream);
@@ -197,12 +193,12 @@ struct Crew<'a> {
 }
 
 impl Crew<'_> {
-    /// Brings all nodes to the point where they wait for the common start; gives what they warn of.
+    /// Brings all nodes to the point where they wait for the common start; gives what the system refused them.
     fn handshake(&mut self, settings: &Settings, patience: Duration) -> Result<Vec<String>, RunError> {
         let mut said = Vec::new();
         self.await_all(patience, "open its channels", |_, answer| {
-            let Answer::Opened { warnings } = answer else { return Ok(false) };
-            said.extend_from_slice(warnings);
+            let Answer::Opened { refused } = answer else { return Ok(false) };
+            said.extend_from_slice(refused);
             Ok(true)
         })?;
         self.workers.iter_mut().for_each(|worker| worker.order(&Order::Connect));

@@ -28,11 +28,13 @@
 //! ```
 
 mod control;
+mod cores;
 mod error;
 mod launcher;
 mod plan;
 mod recorder;
 mod report;
+mod settings;
 pub mod signals;
 mod stepper;
 mod worker;
@@ -45,6 +47,10 @@ use std::time::Duration;
 pub use error::RunError;
 pub use launcher::run;
 pub use report::{End, Exit, NodeReport, Percentiles, RunReport};
+pub use settings::{
+    LaunchSpec, NodeLaunch, NodeSettings, OnDeadline, OnHang, OnNonFinite, Policy, Refused, Restart, RunAs,
+    SettingsError, WaitStrategy,
+};
 pub use worker_main::{NODE_COMMAND, node_main};
 
 use crate::time::Nanos;
@@ -76,6 +82,9 @@ pub struct RunOptions {
     pub seed: u64,
     /// The MCAP file to write.
     pub recording: Option<PathBuf>,
+    /// How single nodes are run, and what happens when they fail. It goes before [`mode`](Self::mode),
+    /// [`spin`](Self::spin) and [`real_time`](Self::real_time), which hold for nodes of which it says nothing.
+    pub launch: LaunchSpec,
     /// Processes or threads.
     pub mode: Mode,
     /// Environment variables for the processes of single nodes, by node. They are not recorded.
@@ -106,6 +115,7 @@ impl Default for RunOptions {
             duration: None,
             seed: 0,
             recording: None,
+            launch: LaunchSpec::default(),
             mode: Mode::default(),
             private: BTreeMap::new(),
             spin: 0,
@@ -119,6 +129,24 @@ impl Default for RunOptions {
     }
 }
 
+impl RunOptions {
+    /// What holds for nodes of which the launch settings say nothing.
+    fn base(&self) -> NodeSettings {
+        let (policy, lock_memory) =
+            if self.real_time { (Policy::Fifo, true) } else { (Policy::Other, false) };
+        NodeSettings {
+            run_as: match self.mode {
+                Mode::Processes => RunAs::Process,
+                Mode::Threads => RunAs::Thread,
+            },
+            policy,
+            lock_memory,
+            spin: self.spin,
+            ..NodeSettings::default()
+        }
+    }
+}
+
 impl std::fmt::Debug for RunOptions {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         // The private variables stay private here too.
@@ -126,6 +154,7 @@ impl std::fmt::Debug for RunOptions {
             .field("duration", &self.duration)
             .field("seed", &self.seed)
             .field("recording", &self.recording)
+            .field("launch", &self.launch)
             .field("mode", &self.mode)
             .field("spin", &self.spin)
             .field("real_time", &self.real_time)

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::settings::NodeSettings;
 use crate::channel::Topic;
 use crate::graph::{Graph, GraphSpec};
 use crate::node::Layout;
@@ -24,12 +25,8 @@ pub(super) struct Settings {
     /// No step starts at or after this time.
     pub(super) duration: Option<Nanos>,
     pub(super) recording: bool,
-    /// How long before its time a step stops sleeping and polls.
-    pub(super) spin: Nanos,
-    /// Whether nodes ask for a place before all ordinary programs.
-    pub(super) real_time: bool,
-    /// Core of each node.
-    pub(super) cores: Vec<Option<usize>>,
+    /// How each node is run.
+    pub(super) nodes: Vec<NodeSettings>,
 }
 
 /// Words before the payload of a message: its number and the time it was sent.

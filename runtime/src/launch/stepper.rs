@@ -10,6 +10,7 @@ use super::plan::{
     self, CONSUMED, INITIAL, INPUT_HEAD, LOSS, LOSS_WORDS, MESSAGE_HEAD, STEP, STEP_HEAD, Settings,
 };
 use super::report::{Exit, Histogram, NodeReport};
+use super::settings::NodeSettings;
 use crate::channel::{ChannelError, Endpoint, Listener, Publisher, Subscriber, Waker};
 use crate::clock::WallClock;
 use crate::graph::Graph;
@@ -62,9 +63,10 @@ pub(super) struct Stepper {
     wakers: Vec<Waker>,
     records: Option<Records>,
     values: Box<[f64]>,
-    settings: Settings,
+    /// No step starts at or after this time.
+    end: Nanos,
+    settings: NodeSettings,
     name: String,
-    core: Option<usize>,
     steps: u64,
     overruns: u64,
     undelivered: u64,
@@ -125,9 +127,9 @@ impl Stepper {
             wakers: Vec::new(),
             records,
             values: vec![0.0; plan.kind.output().leaves.len()].into(),
-            settings: settings.clone(),
+            end: settings.duration.unwrap_or(Nanos::MAX),
+            settings: settings.nodes.get(index).cloned().unwrap_or_default(),
             name: plan.name.clone(),
-            core: settings.cores.get(index).copied().flatten(),
             steps: 0,
             overruns: 0,
             undelivered: 0,
@@ -152,7 +154,7 @@ impl Stepper {
 
     /// Runs the node until its time is over, somebody stops it, or it cannot go on.
     pub(super) fn run(&mut self, clock: WallClock, orders: &Orders) -> Result<(), StepError> {
-        let end = self.settings.duration.unwrap_or(Nanos::MAX);
+        let end = self.end;
         while !orders.stop.load(Ordering::Relaxed) {
             // What a node sent before its death is taken before the death is believed.
             let news = orders.dead_news.swap(false, Ordering::Acquire);
@@ -308,7 +310,7 @@ impl Stepper {
         let lost = self.inputs.iter().filter(|input| input.lost > 0);
         NodeReport {
             node: self.name.clone(),
-            core: self.core,
+            core: self.settings.core,
             steps: self.steps,
             overruns: self.overruns,
             lateness: self.lateness.percentiles(),

@@ -12,6 +12,7 @@ use super::control::{Answer, Line, Order};
 use super::error::RunError;
 use super::plan::{RUN_FILE, RunFile, Settings};
 use super::report::Exit;
+use super::settings::{NodeSettings, Policy};
 use super::stepper::{Orders, StepError, Stepper};
 use crate::channel::{Endpoint, Space};
 use crate::clock::WallClock;
@@ -117,23 +118,43 @@ fn sleep_exactly() {
     unsafe { libc::prctl(libc::PR_SET_TIMERSLACK, 1) };
 }
 
-/// Asks the system to run this thread before all ordinary ones, and to keep its memory; gives what was refused.
-fn go_first(node: &str) -> Vec<String> {
+/// Puts this thread on its core; gives what was refused.
+fn pin(node: &str, settings: &NodeSettings) -> Option<String> {
+    let core = settings.core?;
+    // The launcher asked which cores exist; one may have been taken away since then.
+    let done = core_affinity::set_for_current(core_affinity::CoreId { id: core });
+    (!done)
+        .then(|| format!("node {node} was to run on core {core}, which the system refuses; it runs on any"))
+}
+
+/// Gives this thread its scheduling policy, and keeps its memory; gives what was refused.
+fn schedule(node: &str, settings: &NodeSettings) -> Vec<String> {
     let mut refused = Vec::new();
-    let parameters = libc::sched_param { sched_priority: 10 };
-    // Threads that this one starts are ordinary again.
-    let policy = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
-    // SAFETY: `parameters` is a valid sched_param that outlives the call; 0 is the calling thread.
-    if unsafe { libc::sched_setscheduler(0, policy, &parameters) } != 0 {
-        let error = io::Error::last_os_error();
-        refused.push(format!(
-            "node {node} runs like any program, not in real time: {error}; give it an rtprio limit"
-        ));
+    let policy = match settings.policy {
+        Policy::Other => None,
+        Policy::Fifo => Some((libc::SCHED_FIFO, "SCHED_FIFO")),
+        Policy::Rr => Some((libc::SCHED_RR, "SCHED_RR")),
+    };
+    if let Some((policy, name)) = policy {
+        let parameters = libc::sched_param { sched_priority: settings.priority.into() };
+        // SAFETY: `parameters` is a valid sched_param that outlives the call; 0 is the calling thread. Threads that this
+        // one starts are ordinary again.
+        if unsafe { libc::sched_setscheduler(0, policy | libc::SCHED_RESET_ON_FORK, &parameters) } != 0 {
+            let error = io::Error::last_os_error();
+            refused.push(format!(
+                "node {node} runs like any program, not under {name} with priority {}: {error}; give this user an \
+                 rtprio limit (/etc/security/limits.conf) or the program CAP_SYS_NICE",
+                settings.priority
+            ));
+        }
     }
     // SAFETY: the call takes an integer and changes nothing but where this process's memory may lie.
-    if unsafe { libc::mlockall(libc::MCL_CURRENT | libc::MCL_FUTURE) } != 0 {
+    if settings.lock_memory && unsafe { libc::mlockall(libc::MCL_CURRENT | libc::MCL_FUTURE) } != 0 {
         let error = io::Error::last_os_error();
-        refused.push(format!("the memory of node {node} may be paged out: {error}; give it a memlock limit"));
+        refused.push(format!(
+            "the memory of node {node} may be paged out: {error}; give this user a memlock limit \
+             (/etc/security/limits.conf) or the program CAP_IPC_LOCK"
+        ));
     }
     refused
 }
@@ -150,10 +171,6 @@ pub(super) fn serve(
     let (mut orders, mut answers) =
         (Queue { line: Line::new(copy), waiting: VecDeque::new() }, Line::new(stream));
     sleep_exactly();
-    if let Some(core) = settings.cores.get(index).copied().flatten() {
-        // The launcher asked which cores exist. One that was taken away since then costs punctuality only.
-        core_affinity::set_for_current(core_affinity::CoreId { id: core });
-    }
     let outcome = work(graph, index, settings, run, &mut orders, &mut answers);
     let in_order = outcome.is_ok();
     // The ports, which the outcome holds, are closed only when all nodes have ended: until then others may
@@ -195,13 +212,16 @@ fn work(
     queue: &mut Queue,
     answers: &mut Line,
 ) -> Result<Option<(Stepper, Endpoint)>, String> {
+    let name = &graph.nodes()[index].name;
+    let own = settings.nodes.get(index).ok_or("the launcher says nothing of this node")?;
+    let mut refused: Vec<String> = pin(name, own).into_iter().collect();
     let space = Space::attach(run).map_err(|e| e.to_string())?;
     let endpoint = Endpoint::new(&space).map_err(|e| e.to_string())?;
     let node = graph.build(index, settings.seed).map_err(|e| e.to_string())?;
     let mut stepper = Stepper::open(graph, index, node, settings, &endpoint).map_err(|e| e.to_string())?;
     // Last, so that building a node, which may take long, keeps nobody else from running.
-    let warnings = if settings.real_time { go_first(&graph.nodes()[index].name) } else { Vec::new() };
-    answers.send(&Answer::Opened { warnings });
+    refused.extend(schedule(name, own));
+    answers.send(&Answer::Opened { refused });
     let clock = loop {
         match queue.next(1000) {
             Some(Some(Order::Connect)) => {

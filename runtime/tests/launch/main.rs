@@ -10,6 +10,7 @@ mod conformance;
 mod failures;
 mod nodes;
 mod runs;
+mod settings;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::process::ExitCode;
@@ -31,7 +32,7 @@ fn main() -> ExitCode {
         return failures::launcher(arguments);
     }
     let filter = first.filter(|argument| !argument.starts_with('-')).unwrap_or_default();
-    let mut tests: Vec<Test> = [runs::TESTS, failures::TESTS, allocation::TESTS].concat();
+    let mut tests: Vec<Test> = [runs::TESTS, settings::TESTS, failures::TESTS, allocation::TESTS].concat();
     #[cfg(feature = "conformance")]
     tests.extend(conformance::TESTS);
     let chosen: Vec<&Test> = tests.iter().filter(|(name, _)| name.contains(&filter)).collect();

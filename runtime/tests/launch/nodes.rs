@@ -77,6 +77,65 @@ impl Node for Secret {
     }
 }
 
+/// Says where it runs, one thing a step: the adder takes messages of one number.
+struct Where;
+
+impl Node for Where {
+    type Output = Number<f64>;
+
+    fn step(&mut self, step: &Step<'_>) -> Result<Number<f64>, NodeError> {
+        let status = std::fs::read_to_string("/proc/thread-self/status").unwrap();
+        let field = |name: &str| {
+            let line = status.lines().find_map(|line| line.strip_prefix(name)).unwrap();
+            line.trim_start_matches(':').trim().to_owned()
+        };
+        // SAFETY: the calls take integers and a pointer to a local that outlives them.
+        let (core, policy, parameters) = unsafe {
+            let mut parameters = libc::sched_param { sched_priority: 0 };
+            libc::sched_getparam(0, &mut parameters);
+            (libc::sched_getcpu(), libc::sched_getscheduler(0) & !libc::SCHED_RESET_ON_FORK, parameters)
+        };
+        let list = field("Cpus_allowed_list");
+        let alone = !list.contains([',', '-']);
+        let locked = field("VmLck").trim_end_matches("kB").trim().parse::<u64>().unwrap() > 0;
+        Ok(Number {
+            value: match step.seq % 6 {
+                0 => f64::from(std::process::id()),
+                1 => f64::from(core),
+                2 => f64::from(u8::from(alone)),
+                3 => f64::from(policy),
+                4 => f64::from(parameters.sched_priority),
+                _ => f64::from(u8::from(locked)),
+            },
+        })
+    }
+}
+
+/// What a node of kind `place` said of itself.
+#[derive(Debug)]
+pub(crate) struct Place {
+    pub(crate) process: f64,
+    pub(crate) core: f64,
+    pub(crate) alone: bool,
+    pub(crate) policy: f64,
+    pub(crate) priority: f64,
+    pub(crate) locked: bool,
+}
+
+pub(crate) fn place_of(recording: &std::path::Path, node: &str) -> Place {
+    let recording = parallax_runtime::recording::Recording::read(recording).unwrap();
+    let messages = &recording.node(node).unwrap().messages;
+    let said = |which: u64| messages.iter().find(|message| message.seq % 6 == which).unwrap().payload[0];
+    Place {
+        process: said(0),
+        core: said(1),
+        alone: said(2) == 1.0,
+        policy: said(3),
+        priority: said(4),
+        locked: said(5) == 1.0,
+    }
+}
+
 pub(crate) const SECRET: &str = "TEST_NODE_SECRET";
 
 pub(crate) fn registry() -> Registry {
@@ -86,6 +145,7 @@ pub(crate) fn registry() -> Registry {
     let known = Registry::new();
     known
         .with("counter", NodeKind::new(|context| Ok(Counter { trouble: context.parameters()? })))
+        .with("place", NodeKind::new(|_| Ok(Where)))
         .with("adder", NodeKind::new(|_| Ok(Adder)).input(SOURCE))
         .with(
             "secret",
