@@ -58,6 +58,7 @@ pub mod conformance;
 pub mod delay;
 pub mod graph;
 pub mod import;
+pub mod latency;
 pub mod launch;
 pub mod model_node;
 pub mod node;

@@ -9,6 +9,7 @@ pub(crate) mod failure;
 mod graph;
 mod import;
 mod info;
+mod latency;
 mod output;
 mod replay;
 mod run;
@@ -25,7 +26,8 @@ use tracing_subscriber::EnvFilter;
 const EXIT_CODES: &str = "\
 Exit codes:
   0    done
-  1    done, and the answer is no: the replay differs from the recording, no experiment separates the effects
+  1    done, and the answer is no: the replay differs from the recording, no experiment separates the effects, an aim
+       of `latency` is missed
   2    the command or its input cannot be used
   3    the run failed, for instance because a node died
   130  interrupted; a diagnosis reports what was weighed until then, a run keeps its recording";
@@ -68,6 +70,9 @@ enum Command {
     /// Show a graph, its schedule and its supergraph, in words and in pictures.
     #[command(after_help = EXIT_CODES)]
     Graph(graph::Arguments),
+    /// Measure how long messages and steps take on this machine, beside the raw floor.
+    #[command(after_help = EXIT_CODES)]
+    Latency(latency::Arguments),
     /// Say where a recording and its simulator part, why, and how far.
     #[command(after_help = EXIT_CODES)]
     Diagnose(diagnose::Arguments),
@@ -83,6 +88,20 @@ enum Command {
     /// Plays a proposed experiment on a case's machine.
     #[command(name = withheld::separate::PLAY_COMMAND, hide = true)]
     WithheldPlay(withheld::separate::Arguments),
+    /// One node of a measured graph.
+    #[command(name = parallax_runtime::latency::NODE_COMMAND, hide = true)]
+    LatencyNode {
+        /// What the launcher says.
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
+    },
+    /// The other process of a floor.
+    #[command(name = parallax_runtime::latency::PEER_COMMAND, hide = true)]
+    LatencyPeer {
+        /// What is measured.
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
+    },
     /// One node of a run; the launcher starts it.
     #[command(name = NODE_COMMAND, hide = true)]
     Node {
@@ -101,6 +120,13 @@ pub(crate) fn main() -> ExitCode {
 
     let result = match cli.command {
         Command::Node { arguments } => return node_main(arguments.into_iter(), &parallax_nodes::registry()),
+        Command::LatencyNode { arguments } => {
+            return parallax_runtime::latency::node_main(arguments.into_iter());
+        }
+        Command::LatencyPeer { arguments } => {
+            return parallax_runtime::latency::peer_main(arguments.into_iter());
+        }
+        Command::Latency(arguments) => latency::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments),
         Command::Run(arguments) => run::run(&arguments),
         Command::Diagnose(arguments) => diagnose::run(&arguments),

@@ -142,7 +142,7 @@ impl Space {
     }
 
     /// The configuration of iceoryx2 for this space.
-    pub(super) fn config(&self) -> Result<Config, ChannelError> {
+    pub(crate) fn config(&self) -> Result<Config, ChannelError> {
         let bad = |detail: String| ChannelError::Transport {
             topic: self.path.display().to_string(),
             what: "name the run's directory",

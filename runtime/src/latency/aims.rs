@@ -1,0 +1,152 @@
+//! What the measurements are held against.
+
+use serde::Serialize;
+
+use super::{Carrier, Case, Delays, Report, Row, Wait};
+
+/// One comparison.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Aim {
+    /// What is compared, in words.
+    pub what: String,
+    /// What was measured, in nanoseconds.
+    pub measured_ns: f64,
+    /// What it may be, in nanoseconds, as it follows from the floor measured beside it.
+    pub limit_ns: f64,
+    /// Measured by limit: at most 1 when the aim is reached.
+    pub ratio: f64,
+    /// Whether it is reached.
+    pub reached: bool,
+}
+
+impl Aim {
+    fn new(what: impl Into<String>, measured: Option<u64>, limit: Option<f64>) -> Option<Self> {
+        let (measured, limit) = (measured? as f64, limit?);
+        Some(Self {
+            what: what.into(),
+            measured_ns: measured,
+            limit_ns: limit,
+            ratio: measured / limit,
+            reached: measured <= limit,
+        })
+    }
+}
+
+/// All comparisons that the measured cases allow, in order.
+pub fn aims(report: &Report) -> Vec<Aim> {
+    let mut aims = Vec::new();
+    let find = |carrier: Carrier, like: &Case| {
+        let wanted = Case { carrier, ..*like };
+        report.rows.iter().find(|row| row.case == wanted)
+    };
+    let times = |row: Option<&Row>, percent: f64, factor: f64, add: f64| {
+        Some(row?.one_way.at(percent)? as f64 * factor + add)
+    };
+    let small = report.rows.iter().filter(|row| row.case.carrier == Carrier::Graph && row.case.payload <= 64);
+    for row in small {
+        let place = place(&row.case);
+        match row.case.wait {
+            Wait::Spin => {
+                let floor = find(Carrier::Iceoryx2, &row.case);
+                for percent in [50.0, 99.0] {
+                    aims.extend(Aim::new(
+                        format!("node to node, {place}, p{percent}: 1.3 x raw iceoryx2"),
+                        row.one_way.at(percent),
+                        times(floor, percent, 1.3, 0.0),
+                    ));
+                }
+            }
+            Wait::Block => {
+                let floor = find(Carrier::Futex, &row.case);
+                aims.extend(Aim::new(
+                    format!("node to node, {place}, p50: 1.15 x a raw futex wake + 2 us"),
+                    row.one_way.at(50.0),
+                    times(floor, 50.0, 1.15, 2000.0),
+                ));
+            }
+            Wait::SpinThenBlock => {}
+        }
+        if let Some(recorded) = find(Carrier::RecordedGraph, &row.case) {
+            aims.extend(Aim::new(
+                format!("recorded, {place}, p99: 1.1 x not recorded"),
+                recorded.one_way.at(99.0),
+                times(Some(row), 99.0, 1.1, 0.0),
+            ));
+        }
+    }
+    // The largest message beside the smallest, for whatever is said to be in place.
+    let channels = || report.rows.iter().filter(|row| row.case.carrier == Carrier::Channel);
+    if let (Some(least), Some(most)) =
+        (channels().min_by_key(|row| row.case.payload), channels().max_by_key(|row| row.case.payload))
+        && most.case.payload > least.case.payload
+    {
+        aims.extend(Aim::new(
+            format!(
+                "channel, in place, {} bytes, p50: 1.1 x {} bytes",
+                most.case.payload, least.case.payload
+            ),
+            most.one_way.at(50.0),
+            times(Some(least), 50.0, 1.1, 0.0),
+        ));
+    }
+    aims.extend(Aim::new("around a step, recorded, p50: 1 us", report.step.at(50.0), Some(1000.0)));
+    let bare = |delays: &Delays| delays.at(99.0).map(|late| late as f64 * 1.2);
+    aims.extend(Aim::new(
+        "start of a step at 1 kHz, p99: 1.2 x bare clock_nanosleep",
+        report.lateness.at(99.0),
+        bare(&report.bare_lateness),
+    ));
+    aims
+}
+
+/// What a case is like, beyond carrier and payload.
+fn place(case: &Case) -> String {
+    let mut text = format!("{} bytes, {}", case.payload, case.wait);
+    if !case.pinned {
+        text.push_str(", not pinned");
+    }
+    if case.fifo {
+        text.push_str(", FIFO");
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(carrier: Carrier, payload: usize, wait: Wait, delay: i64) -> Row {
+        let case = Case { carrier, payload, wait, pinned: true, fifo: false };
+        let mut one_way = Delays::new();
+        one_way.extend(std::iter::repeat_n(delay, 1000));
+        Row { case, round_trip: one_way.clone(), one_way }
+    }
+
+    #[test]
+    fn a_case_is_held_against_its_own_floor() {
+        let rows = vec![
+            row(Carrier::Iceoryx2, 64, Wait::Spin, 1000),
+            row(Carrier::Graph, 64, Wait::Spin, 1200),
+            row(Carrier::Futex, 64, Wait::Block, 10_000),
+            row(Carrier::Graph, 64, Wait::Block, 14_000),
+            row(Carrier::Channel, 64, Wait::Spin, 1000),
+            row(Carrier::Channel, 8_000_000, Wait::Spin, 5000),
+        ];
+        let report = Report {
+            rows,
+            step: Delays::new(),
+            step_unrecorded: Delays::new(),
+            lateness: Delays::new(),
+            bare_lateness: Delays::new(),
+            warnings: Vec::new(),
+        };
+        let aims = aims(&report);
+        let reached: Vec<(bool, f64)> = aims.iter().map(|aim| (aim.reached, aim.limit_ns)).collect();
+        assert_eq!(reached.len(), 4, "{aims:?}: without samples nothing is said of steps");
+        let expected = [(true, 1300.0), (true, 1300.0), (false, 13_500.0), (false, 1100.0)];
+        for ((got, limit), (want, about)) in reached.iter().zip(expected) {
+            assert_eq!(*got, want, "{aims:?}");
+            assert!((limit / about - 1.0).abs() < 0.002, "{aims:?}");
+        }
+    }
+}
