@@ -66,3 +66,18 @@ fn what_cannot_be_measured_is_refused() {
     // Its processes are not started by hand.
     fail(&folder, &["__latency-peer", "nowhere"], 1, &["started"]);
 }
+
+#[test]
+fn the_doctor_ends_as_its_answer_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = parallax(folder.path(), &["doctor", "--seconds", "0.1", "--json"]);
+    let answer: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let findings = answer["findings"].as_array().unwrap();
+    let change = findings.iter().any(|finding| finding["verdict"] == "change");
+    assert_eq!(output.status.code(), Some(i32::from(change)), "{findings:?}");
+    assert!(
+        findings.iter().filter(|finding| finding["verdict"] == "change").all(|f| f["command"].is_string())
+    );
+    assert!(answer["wake_ups"]["count"].as_u64().unwrap() > 10);
+    fail(&folder, &["doctor", "--root", "nowhere"], 2, &["nowhere"]);
+}

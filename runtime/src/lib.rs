@@ -56,6 +56,7 @@ pub mod clock;
 #[cfg(feature = "conformance")]
 pub mod conformance;
 pub mod delay;
+pub mod doctor;
 pub mod graph;
 pub mod import;
 pub mod latency;

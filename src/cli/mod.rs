@@ -4,6 +4,7 @@ pub(crate) mod args;
 mod delays;
 mod demo;
 mod diagnose;
+mod doctor;
 mod experiment;
 pub(crate) mod failure;
 mod graph;
@@ -27,7 +28,7 @@ const EXIT_CODES: &str = "\
 Exit codes:
   0    done
   1    done, and the answer is no: the replay differs from the recording, no experiment separates the effects, an aim
-       of `latency` is missed
+       of `latency` is missed, `doctor` found something to change
   2    the command or its input cannot be used
   3    the run failed, for instance because a node died
   130  interrupted; a diagnosis reports what was weighed until then, a run keeps its recording";
@@ -70,6 +71,9 @@ enum Command {
     /// Show a graph, its schedule and its supergraph, in words and in pictures.
     #[command(after_help = EXIT_CODES)]
     Graph(graph::Arguments),
+    /// Look at this machine as a place for nodes that must be on time, and say what to change.
+    #[command(after_help = EXIT_CODES)]
+    Doctor(doctor::Arguments),
     /// Measure how long messages and steps take on this machine, beside the raw floor.
     #[command(after_help = EXIT_CODES)]
     Latency(latency::Arguments),
@@ -126,6 +130,7 @@ pub(crate) fn main() -> ExitCode {
         Command::LatencyPeer { arguments } => {
             return parallax_runtime::latency::peer_main(arguments.into_iter());
         }
+        Command::Doctor(arguments) => doctor::run(&arguments),
         Command::Latency(arguments) => latency::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments),
         Command::Run(arguments) => run::run(&arguments),

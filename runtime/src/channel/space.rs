@@ -182,6 +182,17 @@ pub fn clean_stale() -> Result<usize, ChannelError> {
     Ok(guard.clean(&base, shared_memory))
 }
 
+/// How many runs of this user lie below `shared_memory` whose owner is dead. Nothing is removed.
+pub(crate) fn stale_runs(shared_memory: &Path) -> usize {
+    // SAFETY: geteuid takes no arguments, cannot fail and touches no memory of ours.
+    let user = unsafe { libc::geteuid() };
+    let entries =
+        fs::read_dir(shared_memory.join(format!("parallax-{user}"))).into_iter().flatten().flatten();
+    let locks =
+        entries.map(|entry| entry.path()).filter(|path| path.extension().is_some_and(|e| e == "lock"));
+    locks.filter(|lock| File::open(lock).is_ok_and(|file| file.try_lock().is_ok())).count()
+}
+
 /// The lock under which runs are created and stale ones removed, so that the two never overlap.
 struct Guard(#[expect(dead_code, reason = "held for its lock")] File);
 
@@ -283,7 +294,8 @@ fn remove_run(path: &Path, shared_memory: &Path) {
     let _ = fs::remove_file(lock);
 }
 
-fn free_bytes(path: &Path) -> Result<u64, ChannelError> {
+/// Bytes that are free where `path` lies.
+pub(crate) fn free_bytes(path: &Path) -> Result<u64, ChannelError> {
     use std::os::unix::ffi::OsStrExt;
     let io =
         |source| ChannelError::Io { what: "cannot ask for the free space of", path: path.into(), source };

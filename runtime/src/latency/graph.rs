@@ -112,11 +112,9 @@ impl ErasedNode for Measuring {
                     self.note(step.seq, stamp.received - payload[1] as Nanos);
                 }
             }
-            (Role::Pong, Some((stamp, payload))) => {
-                if stamp.seq.is_some() {
-                    self.note(step.seq, now - payload[0] as Nanos);
-                    output[1] = stamp.sent as f64;
-                }
+            (Role::Pong, Some((stamp, payload))) if stamp.seq.is_some() => {
+                self.note(step.seq, now - payload[0] as Nanos);
+                output[1] = stamp.sent as f64;
             }
             (Role::Alone, _) => self.note(step.seq, step.start - step.due),
             (Role::Busy, _) => {

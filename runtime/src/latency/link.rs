@@ -50,7 +50,7 @@ pub(super) fn receive(link: &mut dyn Link, wait: Wait) -> Result<Option<Nanos>, 
             return Ok(Some(stamp));
         }
         // Reading the clock each time would be part of what is measured.
-        if (!spins || rounds % 4096 == 0) && monotonic() - start > patience {
+        if (!spins || rounds.is_multiple_of(4096)) && monotonic() - start > patience {
             return Ok(None);
         }
     }

@@ -226,6 +226,12 @@ pub fn measure(options: &Options, mut progress: impl FnMut(f64) -> bool) -> Resu
     Ok(report)
 }
 
+/// How late this thread wakes at 1 kHz over such a time, under `SCHED_FIFO` where it is allowed, and whether it was.
+pub(crate) fn sleeper(time: Duration) -> (Vec<Nanos>, bool) {
+    let fifo = place::settle(None, true).is_empty();
+    (place::wake_ups(1_000_000, time), fifo)
+}
+
 /// The cores that this program may run on.
 pub fn cores() -> Vec<usize> {
     core_affinity::get_core_ids().unwrap_or_default().iter().map(|core| core.id).collect()

@@ -55,7 +55,7 @@ pub(super) fn bare_lateness(delays: &mut Delays, core: usize, fifo: bool, time: 
 }
 
 /// How late this thread wakes from sleeps that end every `period`, over such a time.
-pub(crate) fn wake_ups(period: Nanos, time: Duration) -> Vec<Nanos> {
+pub(super) fn wake_ups(period: Nanos, time: Duration) -> Vec<Nanos> {
     let end = Instant::now() + time;
     let mut late = Vec::with_capacity((time.as_nanos() as Nanos / period) as usize + 16);
     let mut next = monotonic() + period;
