@@ -123,17 +123,24 @@ impl<M> fmt::Debug for Port<M> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Consumed {
-    /// The sender's step that made it; `None` for the initial message, which fills a window before enough have come.
+    /// The sender's step that made it; `None` for the initial message, which fills a window before enough have come, and
+    /// for the [safe output](crate::graph::SafeOutput) of a sender that is gone.
     pub seq: Option<u64>,
     /// When the sender sent it; 0 for the initial message.
     pub sent: Nanos,
-    /// When it arrived at the receiver; 0 for the initial message.
+    /// When it arrived at the receiver; 0 for the initial message. A safe output has here and in `sent` the time from which
+    /// on it stood in for messages.
     pub received: Nanos,
 }
 
 impl Consumed {
     /// The stamps of an initial message.
     pub const INITIAL: Self = Self { seq: None, sent: 0, received: 0 };
+
+    /// Whether it is the safe output of a sender that is gone.
+    pub fn is_safe_output(&self) -> bool {
+        self.seq.is_none() && *self != Self::INITIAL
+    }
 }
 
 /// A message in a step's window.
@@ -156,6 +163,7 @@ pub struct Received<M> {
 pub struct InputWindow {
     port: String,
     leaves: usize,
+    window: usize,
     stamps: Vec<Consumed>,
     values: Vec<f64>,
     superseded: u64,
@@ -167,6 +175,7 @@ impl InputWindow {
         Self {
             port: port.into(),
             leaves,
+            window,
             stamps: Vec::with_capacity(window),
             values: Vec::with_capacity(window * leaves),
             superseded: 0,
@@ -176,6 +185,11 @@ impl InputWindow {
     /// The input's name.
     pub fn port(&self) -> &str {
         &self.port
+    }
+
+    /// How many messages a step sees.
+    pub fn capacity(&self) -> usize {
+        self.window
     }
 
     /// The messages, oldest first.
@@ -355,6 +369,29 @@ pub trait Node: Send {
     ///
     /// A node that cannot go on says why; it takes no further steps, and its receivers react as to a dead sender.
     fn step(&mut self, step: &Step<'_>) -> Result<Self::Output, NodeError>;
+
+    /// The node takes no further steps, for whatever reason: a driver leaves its hardware in a safe state here. It is
+    /// called once, also after a step that failed or panicked; it must not take long. Nothing can call it in a process
+    /// that is killed: see `stop_after_crash` in the [launch settings](crate::launch::NodeLaunch).
+    fn stop(&mut self, why: Stopping) {
+        let _ = why;
+    }
+}
+
+/// Why a node takes no further steps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Stopping {
+    /// The run is over, or somebody stopped it.
+    Over,
+    /// Its own step failed or panicked.
+    Failed,
+    /// A node that it waits for is gone.
+    SenderGone,
+    /// The launcher is gone.
+    LauncherGone,
+    /// An earlier process of this node was killed, and this one was started for nothing but to stop: no step was made.
+    AfterCrash,
 }
 
 /// A node whose output is written as leaves: what executors drive. Every [`Node`] is one.
@@ -365,6 +402,11 @@ pub trait ErasedNode: Send {
     ///
     /// As [`Node::step`].
     fn step_into(&mut self, step: &Step<'_>, output: &mut [f64]) -> Result<(), NodeError>;
+
+    /// As [`Node::stop`].
+    fn stop(&mut self, why: Stopping) {
+        let _ = why;
+    }
 }
 
 impl<N: Node> ErasedNode for N {
@@ -372,6 +414,10 @@ impl<N: Node> ErasedNode for N {
     fn step_into(&mut self, step: &Step<'_>, output: &mut [f64]) -> Result<(), NodeError> {
         self.step(step)?.write_to(output);
         Ok(())
+    }
+
+    fn stop(&mut self, why: Stopping) {
+        Node::stop(self, why);
     }
 }
 

@@ -112,14 +112,21 @@ impl Grid {
 
     /// A cursor on tick 0.
     pub fn ticks(&self) -> Ticks {
+        self.ticks_from(0)
+    }
+
+    /// A cursor on tick `k`.
+    pub fn ticks_from(&self, k: u64) -> Ticks {
         let doubled = 2 * u128::from(self.denominator);
+        // What rounding the time of tick k leaves over; beyond 292 years the time no longer moves, and neither does this.
+        let exact = self.numerator.checked_mul(2 * u128::from(k)).unwrap_or(0) + u128::from(self.denominator);
         // Both parts are small: the remainder is below 2^54, a period below 2^40 ns.
         let step = (2 * self.numerator) / doubled;
         let step_remainder = (2 * self.numerator) % doubled;
         Ticks {
-            tick: 0,
-            time: self.phase,
-            remainder: self.denominator,
+            tick: k,
+            time: self.time(k),
+            remainder: (exact % doubled) as u64,
             step: step as Nanos,
             step_remainder: step_remainder as u64,
             modulus: doubled as u64,
@@ -207,6 +214,12 @@ mod tests {
             }
             prop_assert_eq!(ticks.tick(), k);
             prop_assert_eq!(ticks.time(), grid.time(k));
+            let mut from = grid.ticks_from(k);
+            for _ in 0..3 {
+                prop_assert_eq!((from.tick(), from.time()), (ticks.tick(), ticks.time()));
+                from.advance();
+                ticks.advance();
+            }
         }
 
         #[test]

@@ -4,7 +4,7 @@ use std::fmt;
 
 use parallax_runtime::graph::{Graph, GraphError};
 use parallax_runtime::node::{ErasedNode, InputWindow, NodeContext, NodeError, Step};
-use parallax_runtime::recording::{NodeTrack, Recording, StepRecord};
+use parallax_runtime::recording::{FaultKind, NodeTrack, Recording, StepRecord};
 use parallax_runtime::registry::Registry;
 use parallax_runtime::schedule::{ScheduleCheck, verify};
 
@@ -352,7 +352,25 @@ fn rerun(
 
     let mut windows = empty_windows(graph, index);
     let mut output = track.initial.clone();
+    let restarts: Vec<u64> = recording
+        .faults
+        .iter()
+        .filter(|fault| fault.node == plan.name)
+        .filter_map(|fault| match fault.kind {
+            FaultKind::Restarted { step, .. } => Some(step),
+            _ => None,
+        })
+        .collect();
     for step in steps {
+        if restarts.contains(&step.seq) {
+            // It was started again there, with a fresh state.
+            node = options
+                .overrides
+                .as_ref()
+                .and_then(|overrides| overrides(&context))
+                .unwrap_or_else(|| plan.kind.build(&context))
+                .map_err(|source| ReplayError::Build { node: plan.name.clone(), source })?;
+        }
         result.consumed += fill_windows(graph, tracks, index, step, &mut windows);
         let view = Step::new(step.seq, step.due, step.start, &windows);
         node.step_into(&view, &mut output).map_err(|source| ReplayError::Failed {
@@ -395,9 +413,20 @@ pub(crate) fn fill_windows(
     for ((window, input), &connection) in
         windows.iter_mut().zip(&step.inputs).zip(&graph.nodes()[index].inputs)
     {
-        let sender = tracks[graph.connections()[connection].from];
+        let from = graph.connections()[connection].from;
+        let sender = tracks[from];
         window.clear(input.superseded);
         for &consumed in &input.consumed {
+            if let (true, Some(safe)) = (consumed.is_safe_output(), &graph.nodes()[from].safe) {
+                // Over the last message that had been sent by then.
+                let before = sender.messages.partition_point(|message| message.sent <= consumed.received);
+                let last =
+                    before.checked_sub(1).map_or(&sender.initial, |last| &sender.messages[last].payload);
+                let mut payload = last.clone();
+                safe.write_over(&mut payload);
+                window.push(consumed, &payload);
+                continue;
+            }
             let payload = match consumed.seq.map(|seq| sender.message(seq)) {
                 None => &sender.initial,
                 Some(Some(message)) => &message.payload,

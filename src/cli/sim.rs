@@ -127,6 +127,7 @@ pub(crate) fn describe(fault: &Fault) -> String {
             format!("stopped, because it waited for `{sender}`, which is dead")
         }
         FaultKind::Died { message } => format!("died: {message}"),
+        FaultKind::Restarted { step, .. } => format!("was started again at step {step}"),
     };
     format!("node `{}` {how} (at {:.3} s)", fault.node, to_seconds(fault.time))
 }

@@ -141,6 +141,12 @@ impl Endpoint {
         }
     }
 
+    /// Removes what participants left behind that have died. Until then their ports count as there: nobody can take their
+    /// place. Gives the number of those that were removed.
+    pub fn remove_dead(&self) -> u64 {
+        self.node.blocking_cleanup_dead_nodes(std::time::Duration::from_millis(200)).cleanups
+    }
+
     /// The listener `name`: what every waker of that name wakes. A name has one listener at a time.
     ///
     /// # Errors

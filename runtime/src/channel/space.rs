@@ -16,14 +16,15 @@ const SHARED_MEMORY: &str = "/dev/shm";
 
 /// One run's own corner of shared memory.
 ///
-/// The process that creates a space owns it: it holds a lock for as long as it lives, and dropping the space
-/// removes everything in it. Node processes [`attach`](Space::attach) to it and remove nothing.
+/// The process that creates a space owns it: dropping the space removes everything in it. Node processes
+/// [`attach`](Space::attach) to it. All of them share a lock: whoever gets it alone knows that nobody of the run is alive,
+/// and that what is left of it can be removed.
 #[derive(Debug)]
 pub struct Space {
     path: PathBuf,
     prefix: String,
-    /// Held while the owner lives: whoever gets this lock knows that the owner is dead.
-    lock: Option<File>,
+    lock: File,
+    owner: bool,
 }
 
 impl Space {
@@ -54,7 +55,7 @@ impl Space {
                     return Err(ChannelError::Io { what: "cannot create", path: lock_path, source });
                 }
             };
-            lock.try_lock().map_err(|e| ChannelError::Io {
+            lock.try_lock_shared().map_err(|e| ChannelError::Io {
                 what: "cannot lock",
                 path: lock_path.clone(),
                 source: match e {
@@ -65,7 +66,7 @@ impl Space {
             let path = base.join(&name);
             make_directory(&path)?;
             let prefix = prefix(&name);
-            return Ok(Self { path, prefix, lock: Some(lock) });
+            return Ok(Self { path, prefix, lock, owner: true });
         }
     }
 
@@ -82,7 +83,15 @@ impl Space {
             .file_name()
             .and_then(|n| n.to_str())
             .ok_or_else(|| missing(io::ErrorKind::InvalidInput.into()))?;
-        Ok(Self { path: path.into(), prefix: prefix(name), lock: None })
+        let lock = File::open(path.with_extension("lock")).map_err(missing)?;
+        lock.lock_shared().map_err(missing)?;
+        Ok(Self { path: path.into(), prefix: prefix(name), lock, owner: false })
+    }
+
+    /// Gives up this process's share of the space, before the end of its life.
+    pub(crate) fn leave(&self) {
+        // A lock that cannot be given up is given up when the process ends.
+        let _ = self.lock.unlock();
     }
 
     /// The run's directory.
@@ -164,13 +173,13 @@ impl Space {
 
 impl Drop for Space {
     fn drop(&mut self) {
-        if self.lock.is_some() {
+        if self.owner {
             remove_run(&self.path, Path::new(SHARED_MEMORY));
         }
     }
 }
 
-/// Removes what runs of this user left behind whose owner is dead; gives the number of such runs.
+/// Removes what runs of this user left behind of which nobody is alive; gives the number of such runs.
 ///
 /// # Errors
 ///

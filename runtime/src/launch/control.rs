@@ -10,7 +10,7 @@ use std::os::unix::net::UnixStream;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use super::report::NodeReport;
+use super::report::Exit;
 use crate::time::Nanos;
 
 /// From the launcher to a node.
@@ -19,10 +19,10 @@ use crate::time::Nanos;
 pub(super) enum Order {
     /// Every channel has its subscribers now: connect to them and count them.
     Connect,
-    /// The run's clock has this epoch: begin when it shows 0.
-    Start { epoch: Nanos },
-    /// The node of this name is gone.
-    SenderDead { node: String },
+    /// The run's clock has this epoch: begin when it shows 0, or take up the work of an earlier process of this node.
+    Start { epoch: Nanos, resume: bool },
+    /// The node of this name is gone, or hangs, before it sent message `next`; whether it may come back.
+    SenderGone { node: String, next: u64, back: bool },
     /// Finish the step and end.
     Stop,
 }
@@ -37,8 +37,11 @@ pub(super) enum Answer {
     Connected { receivers: usize, recorders: usize },
     /// The node cannot go on.
     Failed { reason: String },
-    /// The node has ended in order.
-    Done { report: Box<NodeReport> },
+    /// The node takes up an earlier one's work with this step.
+    Resumed { step: u64, shift: Nanos },
+    /// The node has ended, after it did what it does at the end. What went wrong with that, and whether the run is to end
+    /// with it whatever else holds.
+    Done { exit: Exit, problem: Option<String>, ends_run: bool },
 }
 
 /// One end of a control socket.
@@ -128,9 +131,9 @@ mod tests {
         let (here, there) = UnixStream::pair().unwrap();
         let (mut here, mut there) = (Line::new(here), Line::new(there));
         here.send(&Order::Connect);
-        here.send(&Order::Start { epoch: -3 });
+        here.send(&Order::Start { epoch: -3, resume: false });
         let got: Vec<Order> = there.receive(1000).unwrap();
-        assert_eq!(got, [Order::Connect, Order::Start { epoch: -3 }]);
+        assert_eq!(got, [Order::Connect, Order::Start { epoch: -3, resume: false }]);
         assert_eq!(there.receive::<Order>(0).unwrap(), []);
         assert!(!there.closed());
         drop(here);

@@ -1,30 +1,28 @@
 //! Starts, synchronises, watches and stops the nodes of one run.
 
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::collections::BTreeMap;
+use std::time::{SystemTime, UNIX_EPOCH};
 
-use super::control::{Answer, Order, readable};
+use super::control::Order;
+use super::crew::Crew;
 use super::error::RunError;
 use super::plan::{self, RUN_FILE, RunFile, Settings};
 use super::recorder::Recorder;
-use super::report::{End, Exit, NodeReport, RunReport};
+use super::report::{End, NodeReport, RunReport};
 use super::settings::{NodeSettings, Refused, RunAs};
 use super::signals::Signals;
+use super::vitals::Vitals;
 use super::worker::Worker;
-use super::{Progress, RunOptions, cores, worker_main};
+use super::{RunOptions, cores, worker_main};
 use crate::channel::{Endpoint, Service, Space};
 use crate::clock::{WallClock, monotonic};
-use crate::graph::{Graph, GraphSpec, OnDeadSender};
-use crate::recording::{Clock, Fault, FaultKind};
+use crate::graph::{Graph, GraphSpec};
+use crate::recording::Clock;
 use crate::registry::Registry;
 use crate::time::Nanos;
 
 /// Between the order to start and the common start: time for the order to reach every node.
 const LEAD: Nanos = 20_000_000;
-/// How long nodes that wait for a dead one may take to stop by themselves before they are told to.
-const SETTLING: Duration = Duration::from_millis(300);
-/// How often the launcher looks around when nothing happens, in milliseconds.
-const TICK: i32 = 50;
-
 /// Runs a graph in real time.
 ///
 /// # Errors
@@ -65,32 +63,39 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
         Some(path) => Some(Recorder::start(&graph, &space, path)?),
         None => None,
     };
-    let workers = start(&graph, &settings, &space, &options)?;
-    let mut crew = Crew { graph: &graph, reports: vec![None; workers.len()], workers, recorder };
-    let refused = crew.handshake(&settings, options.patience)?;
+    let vitals = graph.nodes().iter().map(|node| Vitals::open(space.path(), &node.name, node.inputs.len()));
+    let vitals = vitals.collect::<Result<Vec<_>, _>>()?;
+    let hiring = Hiring {
+        command: std::mem::take(&mut options.node_command),
+        private: std::mem::take(&mut options.private),
+    };
+    let hire = |node, stop_only| hire(&graph, &settings, &space, &hiring, node, stop_only);
+    let mut crew = Crew::start(&graph, &settings, &endpoint, &hire, vitals, recorder, &mut options)?;
+    let refused = crew.handshake()?;
     heed(refused, options.launch.refused, &mut warnings)?;
 
     let clock = WallClock::starting_in(LEAD);
     if let Some(recorder) = &mut crew.recorder {
         recorder.begin(describe_clock(clock, options.seed));
     }
-    crew.workers.iter_mut().for_each(|worker| worker.order(&Order::Start { epoch: clock.epoch() }));
+    crew.order_all(&Order::Start { epoch: clock.epoch(), resume: false });
     let end = crew.watch(clock, &mut options, signals.as_ref());
     let duration = match (&end, options.duration) {
         (End::Duration, Some(duration)) => duration,
         _ => clock.now().max(0),
     };
-    crew.stop(clock, options.patience);
+    crew.stop(clock);
     let shared_memory = used(&space);
     let recorder = crew.recorder.take();
     let records_lost = recorder.map_or(Ok(Vec::new()), |recorder| recorder.finish(duration));
-    let nodes = crew.dismiss(options.patience);
+    let (nodes, journal) = crew.dismiss(clock);
     let records_lost = records_lost?;
     for (node, lost) in &records_lost {
         warnings.push(format!(
             "{lost} records of node {node} did not reach the recorder: its recording has holes there"
         ));
     }
+    warnings.extend(nodes.iter().filter(|node| node.steps == 0).map(never_stepped));
     Ok(RunReport {
         graph: graph.spec().name.clone(),
         end,
@@ -98,9 +103,22 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
         startup: clock.epoch() - called,
         shared_memory,
         nodes,
+        events: journal.events,
+        events_omitted: journal.omitted,
         records_lost,
         warnings,
     })
+}
+
+/// Says why a node made no step, as far as that is known.
+fn never_stepped(node: &NodeReport) -> String {
+    let silent: Vec<&str> =
+        node.inputs.iter().filter(|input| input.sent == 0).map(|input| input.from.as_str()).collect();
+    let why = match &silent[..] {
+        [] => "its first step did not end, or the run was too short for it".into(),
+        senders => format!("nothing came from {}", senders.join(", ")),
+    };
+    format!("node {} made no step: {why}", node.node)
 }
 
 /// What the system refused becomes a warning, or the end, as was asked.
@@ -134,29 +152,37 @@ fn create(graph: &Graph, endpoint: &Endpoint, recording: bool) -> Result<Vec<Ser
     Ok(services)
 }
 
-fn start(
+/// Starts the process or the thread of a node.
+fn hire(
     graph: &Graph,
     settings: &Settings,
     space: &Space,
-    options: &RunOptions,
-) -> Result<Vec<Worker>, RunError> {
-    let none = Default::default();
-    let start = |(index, node): (usize, &crate::graph::NodePlan)| {
-        let worker = match settings.nodes[index].run_as {
-            RunAs::Process => {
-                let private = options.private.get(&node.name).unwrap_or(&none);
-                Worker::process(&options.node_command, space.path(), &node.name, private)
-            }
-            RunAs::Thread => {
-                let (graph, settings, run) = (graph.clone(), settings.clone(), space.path().to_path_buf());
-                Worker::thread(&node.name, move |stream| {
-                    worker_main::serve(&graph, index, &settings, &run, stream);
-                })
-            }
-        };
-        worker.map_err(|source| RunError::Spawn { node: node.name.clone(), source })
+    options: &Hiring,
+    index: usize,
+    stop_only: bool,
+) -> Result<Worker, RunError> {
+    let name = &graph.nodes()[index].name;
+    let worker = match settings.nodes[index].run_as {
+        RunAs::Process => {
+            let none = Default::default();
+            let private = options.private.get(name).unwrap_or(&none);
+            Worker::process(&options.command, space.path(), name, private, stop_only)
+        }
+        RunAs::Thread => {
+            let (graph, settings, run) = (graph.clone(), settings.clone(), space.path().to_path_buf());
+            Worker::thread(name, move |stream| {
+                // How it ended is told over the line.
+                let _ = worker_main::serve(&graph, index, &settings, &run, stream, None);
+            })
+        }
     };
-    graph.nodes().iter().enumerate().map(start).collect()
+    worker.map_err(|source| RunError::Spawn { node: name.clone(), source })
+}
+
+/// What it takes to start a node at any time of the run.
+struct Hiring {
+    command: Vec<String>,
+    private: BTreeMap<String, BTreeMap<String, String>>,
 }
 
 fn describe_clock(clock: WallClock, seed: u64) -> Clock {
@@ -174,244 +200,4 @@ fn used(space: &Space) -> u64 {
     let ours =
         entries.flatten().filter(|entry| entry.file_name().to_string_lossy().starts_with(space.prefix()));
     ours.filter_map(|entry| entry.metadata().ok()).map(|metadata| metadata.blocks() * 512).sum()
-}
-
-impl Drop for Crew<'_> {
-    fn drop(&mut self) {
-        // All are told before the first is waited for.
-        self.workers.iter_mut().for_each(Worker::hang_up);
-    }
-}
-
-/// The nodes of a run, and the recorder.
-struct Crew<'a> {
-    graph: &'a Graph,
-    workers: Vec<Worker>,
-    recorder: Option<Recorder>,
-    /// How each node ended, once it has.
-    reports: Vec<Option<NodeReport>>,
-}
-
-impl Crew<'_> {
-    /// Brings all nodes to the point where they wait for the common start; gives what the system refused them.
-    fn handshake(&mut self, settings: &Settings, patience: Duration) -> Result<Vec<String>, RunError> {
-        let mut said = Vec::new();
-        self.await_all(patience, "open its channels", |_, answer| {
-            let Answer::Opened { refused } = answer else { return Ok(false) };
-            said.extend_from_slice(refused);
-            Ok(true)
-        })?;
-        self.workers.iter_mut().for_each(|worker| worker.order(&Order::Connect));
-        let graph = self.graph;
-        self.await_all(patience, "connect to its receivers", |node, answer| {
-            let Answer::Connected { receivers, recorders } = answer else { return Ok(false) };
-            let expected = graph.nodes()[node].outputs.len() + usize::from(settings.recording);
-            let got = receivers + recorders;
-            if got != expected {
-                return Err(RunError::Receivers { node: graph.nodes()[node].name.clone(), got, expected });
-            }
-            Ok(true)
-        })?;
-        Ok(said)
-    }
-
-    /// Waits until every node has given the answer that `accept` wants.
-    fn await_all(
-        &mut self,
-        patience: Duration,
-        what: &'static str,
-        mut accept: impl FnMut(usize, &Answer) -> Result<bool, RunError>,
-    ) -> Result<(), RunError> {
-        let start = Instant::now();
-        let mut pending = vec![true; self.workers.len()];
-        loop {
-            for (node, worker) in self.workers.iter_mut().enumerate() {
-                for answer in worker.answers() {
-                    if let Answer::Failed { reason } = answer {
-                        return Err(RunError::Start {
-                            node: worker.node.clone(),
-                            exit: Exit::Failed { reason },
-                        });
-                    }
-                    if accept(node, &answer)? {
-                        pending[node] = false;
-                    }
-                }
-                if worker.line.closed() {
-                    worker.join(Duration::from_millis(100));
-                }
-                if let Some(exit) = worker.death() {
-                    return Err(RunError::Start { node: worker.node.clone(), exit });
-                }
-            }
-            let Some(late) = pending.iter().position(|pending| *pending) else { return Ok(()) };
-            if start.elapsed() > patience {
-                let (node, seconds) = (self.workers[late].node.clone(), patience.as_secs_f64());
-                return Err(RunError::Silent { node, what, seconds });
-            }
-            self.pause(TICK);
-        }
-    }
-
-    /// Waits until a node says something or dies, a signal comes, or the time is over.
-    fn pause(&self, milliseconds: i32) {
-        let lines = self.workers.iter().filter(|worker| !worker.line.closed());
-        let lines: Vec<_> = lines.map(|worker| worker.line.fd()).collect();
-        readable(&lines, milliseconds);
-    }
-
-    /// Watches the running nodes until the run is to end.
-    fn watch(&mut self, clock: WallClock, options: &mut RunOptions, signals: Option<&Signals>) -> End {
-        loop {
-            let now = clock.now();
-            let left = options.duration.map_or(Nanos::MAX, |duration| duration - now);
-            if let Some(progress) = &mut options.progress
-                && !progress(Progress { elapsed: now, duration: options.duration })
-            {
-                return End::Signal;
-            }
-            if signals.is_some_and(Signals::raised) {
-                return End::Signal;
-            }
-            if left <= 0 {
-                return End::Duration;
-            }
-            if let Some(node) = self.look(clock, left <= 0)
-                && self.needed(node)
-            {
-                return End::Node { node: self.workers[node].node.clone() };
-            }
-            if self.recorder.as_ref().is_some_and(Recorder::ended) {
-                return End::Recorder;
-            }
-            if self.reports.iter().all(Option::is_some) {
-                return End::Duration;
-            }
-            self.pause(TICK.min((left / 1_000_000 + 1).min(i64::from(TICK)) as i32));
-        }
-    }
-
-    /// Takes in what nodes say and who died; gives a node that ended although the run goes on.
-    fn look(&mut self, clock: WallClock, over: bool) -> Option<usize> {
-        let mut gone = None;
-        for node in 0..self.workers.len() {
-            if self.reports[node].is_some() {
-                continue;
-            }
-            let worker = &mut self.workers[node];
-            let mut report = None;
-            for answer in worker.answers() {
-                report = match answer {
-                    Answer::Done { report } => Some(*report),
-                    Answer::Failed { reason } => Some(NodeReport {
-                        node: worker.node.clone(),
-                        exit: Exit::Failed { reason },
-                        ..NodeReport::default()
-                    }),
-                    _ => report,
-                };
-            }
-            if report.is_none() && worker.line.closed() {
-                worker.join(Duration::from_millis(500));
-            }
-            if report.is_none()
-                && let Some(exit) = worker.death()
-            {
-                report = Some(NodeReport { node: worker.node.clone(), exit, ..NodeReport::default() });
-            }
-            let Some(report) = report else { continue };
-            if report.exit != Exit::Clean && !over {
-                gone = gone.or(Some(node));
-                self.mourn(node, &report.exit, clock);
-            }
-            self.reports[node] = Some(report);
-        }
-        gone
-    }
-
-    /// Tells the recording and the receivers that a node is gone.
-    fn mourn(&mut self, node: usize, exit: &Exit, clock: WallClock) {
-        let name = self.workers[node].node.clone();
-        let kind = match exit {
-            Exit::Clean => return,
-            Exit::Failed { reason } => FaultKind::Failed { message: reason.clone() },
-            Exit::DeadSender { sender } => FaultKind::DeadSender { sender: sender.clone() },
-            Exit::Died { .. } => FaultKind::Died { message: exit.to_string() },
-        };
-        if let Some(recorder) = &self.recorder {
-            recorder.fault(Fault { node: name.clone(), time: clock.now().max(0), kind });
-        }
-        for receiver in plan::receivers(self.graph, node) {
-            self.workers[receiver].order(&Order::SenderDead { node: name.clone() });
-        }
-    }
-
-    /// Whether the run cannot go on without a node: it is the supervisor, nobody listens to it, or somebody
-    /// who does wants to stop then.
-    fn needed(&self, node: usize) -> bool {
-        let receivers = plan::receivers(self.graph, node);
-        node == self.graph.supervisor()
-            || receivers.is_empty()
-            || receivers
-                .iter()
-                .any(|receiver| self.graph.nodes()[*receiver].on_dead_sender == OnDeadSender::Stop)
-    }
-
-    /// Lets the nodes that stop by themselves, because one that they wait for is gone, do so and say it.
-    fn settle(&mut self, clock: WallClock) {
-        let start = Instant::now();
-        while (0..self.workers.len()).any(|node| self.stopping(node)) && start.elapsed() < SETTLING {
-            self.pause(5);
-            self.look(clock, false);
-        }
-    }
-
-    /// Whether a node is about to stop by itself.
-    fn stopping(&self, node: usize) -> bool {
-        let plan = &self.graph.nodes()[node];
-        let gone = |connection: &usize| {
-            let connection = &self.graph.connections()[*connection];
-            let report = self.reports[connection.from].as_ref();
-            connection.blocking && report.is_some_and(|report| report.exit != Exit::Clean)
-        };
-        self.reports[node].is_none()
-            && plan.on_dead_sender == OnDeadSender::Stop
-            && plan.inputs.iter().any(gone)
-    }
-
-    /// Stops all nodes and waits until each has said how it fared.
-    fn stop(&mut self, clock: WallClock, patience: Duration) {
-        self.settle(clock);
-        self.workers.iter_mut().for_each(|worker| worker.order(&Order::Stop));
-        let start = Instant::now();
-        while self.reports.iter().any(Option::is_none) && start.elapsed() < patience {
-            self.pause(TICK);
-            self.look(clock, true);
-        }
-    }
-
-    /// Lets all nodes end; gives their reports.
-    fn dismiss(mut self, patience: Duration) -> Vec<NodeReport> {
-        let (workers, reports) = (std::mem::take(&mut self.workers), std::mem::take(&mut self.reports));
-        let dismiss = |(mut worker, report): (Worker, Option<NodeReport>)| {
-            worker.hang_up();
-            let in_time = worker.join(patience);
-            report.unwrap_or_else(|| NodeReport {
-                node: worker.node.clone(),
-                exit: Exit::Died {
-                    pid: worker.pid(),
-                    status: if in_time {
-                        "ended without a report".into()
-                    } else {
-                        "did not stop and was killed".into()
-                    },
-                },
-                ..NodeReport::default()
-            })
-        };
-        // All lines are closed before the first wait: nodes end side by side.
-        let mut pairs: Vec<_> = workers.into_iter().zip(reports).collect();
-        pairs.iter_mut().for_each(|(worker, _)| worker.hang_up());
-        pairs.into_iter().map(dismiss).collect()
-    }
 }

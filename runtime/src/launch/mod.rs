@@ -27,9 +27,12 @@
 //! # }
 //! ```
 
+mod account;
 mod control;
 mod cores;
+mod crew;
 mod error;
+mod event;
 mod launcher;
 mod plan;
 mod recorder;
@@ -37,6 +40,8 @@ mod report;
 mod settings;
 pub mod signals;
 mod stepper;
+mod supervise;
+mod vitals;
 mod worker;
 mod worker_main;
 
@@ -45,8 +50,9 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 pub use error::RunError;
+pub use event::{Event, EventKind};
 pub use launcher::run;
-pub use report::{End, Exit, NodeReport, Percentiles, RunReport};
+pub use report::{End, Exit, InputReport, NodeReport, NonFinite, Percentiles, RunReport};
 pub use settings::{
     LaunchSpec, NodeLaunch, NodeSettings, OnDeadline, OnHang, OnNonFinite, Policy, Refused, Restart, RunAs,
     SettingsError, WaitStrategy,
@@ -107,6 +113,8 @@ pub struct RunOptions {
     pub patience: Duration,
     /// Called about twenty times a second while the run goes on; `false` stops the run.
     pub progress: Option<Box<dyn FnMut(Progress) -> bool>>,
+    /// Called when something happens to a node. The [report](RunReport::events) has it, too.
+    pub events: Option<Box<dyn FnMut(&Event)>>,
 }
 
 impl Default for RunOptions {
@@ -125,6 +133,7 @@ impl Default for RunOptions {
             node_command: vec![NODE_COMMAND.into()],
             patience: Duration::from_secs(10),
             progress: None,
+            events: None,
         }
     }
 }

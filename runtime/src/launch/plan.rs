@@ -6,6 +6,7 @@ use super::settings::NodeSettings;
 use crate::channel::Topic;
 use crate::graph::{Graph, GraphSpec};
 use crate::node::Layout;
+use crate::recording::LossReason;
 use crate::time::Nanos;
 
 /// The file in the run's directory that holds a [`RunFile`].
@@ -44,6 +45,16 @@ pub(super) const STEP: u64 = 0;
 pub(super) const LOSS: u64 = 1;
 /// Words of the record of a loss: kind, number of the record, input, first, count, time, reason.
 pub(super) const LOSS_WORDS: usize = 7;
+
+/// How the reason of a loss is written into a record.
+pub(super) fn reason_code(reason: LossReason) -> u64 {
+    LossReason::ALL.iter().position(|other| *other == reason).map_or(0, |code| code as u64)
+}
+
+/// The reason with this code.
+pub(super) fn reason_of(code: u64) -> LossReason {
+    LossReason::ALL.get(code as usize).copied().unwrap_or(LossReason::Transport)
+}
 
 /// The channel of a node's output.
 pub(super) fn output(graph: &Graph, node: usize) -> Topic {

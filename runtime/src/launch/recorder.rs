@@ -12,7 +12,7 @@ use crate::channel::{Endpoint, Space, Subscriber};
 use crate::graph::Graph;
 use crate::node::Consumed;
 use crate::recording::{
-    Clock, Description, Fault, InputRecord, Loss, LossReason, RecordingError, RecordingWriter, StepRecord,
+    Clock, Description, Fault, InputRecord, Loss, RecordingError, RecordingWriter, StepRecord,
 };
 use crate::time::Nanos;
 
@@ -215,7 +215,7 @@ fn write(graph: &Graph, file: &mut RecordingWriter, record: &Taken) -> Result<()
 /// The losses that a record tells of, one for each message.
 fn losses<'a>(graph: &'a Graph, node: usize, words: &[u64]) -> impl Iterator<Item = Loss> + use<'a> {
     let (input, first, count, time) = (words[2] as usize, words[3], words[4], words[5] as Nanos);
-    let reason = if words[6] == 0 { LossReason::Transport } else { LossReason::Overflow };
+    let reason = plan::reason_of(words[6]);
     let receiver = &graph.nodes()[node];
     let connection = receiver.inputs.get(input).map(|&connection| &graph.connections()[connection]);
     (first..first.saturating_add(count)).filter_map(move |seq| {

@@ -2,9 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::time::Nanos;
+use super::event::Event;
+use crate::recording::LossReason;
+use crate::time::{Nanos, to_seconds};
 
-/// How one node fared.
+/// How one node fared, over all its restarts.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct NodeReport {
     /// Name of the node.
@@ -20,12 +22,65 @@ pub struct NodeReport {
     pub lateness: Percentiles,
     /// How long a step took.
     pub computation: Percentiles,
+    /// Messages that it sent.
+    pub sent: u64,
     /// Messages that it sent, and that did not reach a receiver, counted per receiver.
     pub undelivered: u64,
-    /// Messages that were sent to it and did not arrive, by sender.
+    /// What became of the messages of each of its inputs.
+    pub inputs: Vec<InputReport>,
+    /// Messages that were sent to it and lost, by sender.
     pub lost: Vec<(String, u64)>,
+    /// Steps that ended after their deadline.
+    pub late: u64,
+    /// The largest time by which one did, ns.
+    pub late_by: Nanos,
+    /// Safe outputs that it sent in place of late ones, or of ones that were no numbers.
+    pub replaced: u64,
+    /// Its outputs that held a NaN or an infinity.
+    pub non_finite: Option<NonFinite>,
+    /// How often it was started again.
+    pub restarts: u64,
+    /// How often it gave no sign of life for too long.
+    pub hangs: u64,
+    /// When it applied the safe outputs of its senders before it ended; `None` when it has no such senders, or did not
+    /// come to it.
+    pub made_safe: Option<Nanos>,
     /// How it ended.
     pub exit: Exit,
+}
+
+/// What became of the messages of one input: `sent = consumed + superseded + in flight + lost`.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct InputReport {
+    /// The sender.
+    pub from: String,
+    /// The input.
+    pub port: String,
+    /// Messages that the sender sent.
+    pub sent: u64,
+    /// Messages that at least one step saw.
+    pub consumed: u64,
+    /// Messages that newer ones pushed out before any step saw them.
+    pub superseded: u64,
+    /// Messages that were still under way, or waited for a step, when the run ended.
+    pub in_flight: u64,
+    /// Messages that were lost, by reason. What was [never sent](LossReason::NotSent) is not among them.
+    pub lost: Vec<(LossReason, u64)>,
+    /// Messages that the sender was to send and did not, because it was down.
+    pub not_sent: u64,
+    /// Safe outputs that stood in for messages while the sender was gone.
+    pub safe: u64,
+}
+
+/// Outputs that were no numbers.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct NonFinite {
+    /// How many.
+    pub count: u64,
+    /// The step of the first.
+    pub step: u64,
+    /// Its leaf.
+    pub leaf: String,
 }
 
 /// How a node ended.
@@ -35,7 +90,7 @@ pub enum Exit {
     /// In order: the run was over, or it was told to stop.
     #[default]
     Clean,
-    /// Its step returned an error, or it could not be built.
+    /// Its step returned an error or panicked, or it could not be built.
     Failed {
         /// What the node said.
         reason: String,
@@ -44,6 +99,11 @@ pub enum Exit {
     DeadSender {
         /// That node.
         sender: String,
+    },
+    /// It gave no sign of life, and was ended.
+    Hung {
+        /// For how long, ns.
+        silent: Nanos,
     },
     /// It died.
     Died {
@@ -60,6 +120,9 @@ impl std::fmt::Display for Exit {
             Exit::Clean => write!(f, "ended in order"),
             Exit::Failed { reason } => write!(f, "failed: {reason}"),
             Exit::DeadSender { sender } => write!(f, "stopped because {sender} is gone"),
+            Exit::Hung { silent } => {
+                write!(f, "gave no sign of life for {:.2} s and was ended", to_seconds(*silent))
+            }
             Exit::Died { pid: Some(pid), status } => write!(f, "process {pid} died ({status})"),
             Exit::Died { pid: None, status } => write!(f, "died ({status})"),
         }
@@ -98,6 +161,10 @@ pub struct RunReport {
     pub shared_memory: u64,
     /// The nodes, in the graph's order.
     pub nodes: Vec<NodeReport>,
+    /// What happened to the nodes while the run went on, in order.
+    pub events: Vec<Event>,
+    /// Events that are not in the list, because there were too many.
+    pub events_omitted: u64,
     /// Records of steps that did not reach the recorder, by node.
     pub records_lost: Vec<(String, u64)>,
     /// Things worth knowing that hinder nothing, such as shared cores.
@@ -132,31 +199,25 @@ pub struct Percentiles {
     pub max: Nanos,
 }
 
-/// Counts durations in bins whose width grows with the duration, so that counting allocates nothing.
+/// Durations counted in bins whose width grows with the duration, so that counting allocates nothing.
 #[derive(Debug, Clone)]
 pub(super) struct Histogram {
-    counts: [u64; Self::BINS],
-    total: u64,
+    counts: Vec<u64>,
     max: Nanos,
 }
 
 impl Histogram {
     /// Eight bins for each power of two.
-    const BINS: usize = 8 * 62;
+    pub(super) const BINS: usize = 8 * 62;
 
-    pub(super) fn new() -> Self {
-        Self { counts: [0; Self::BINS], total: 0, max: 0 }
+    /// The counts of the bins, and the largest duration.
+    pub(super) fn new(counts: impl IntoIterator<Item = u64>, max: Nanos) -> Self {
+        Self { counts: counts.into_iter().collect(), max }
     }
 
-    /// Counts one duration; negative ones count as 0.
-    pub(super) fn add(&mut self, duration: Nanos) {
-        let duration = duration.max(0);
-        self.counts[Self::bin(duration)] += 1;
-        self.total += 1;
-        self.max = self.max.max(duration);
-    }
-
-    fn bin(duration: Nanos) -> usize {
+    /// The bin in which a duration of at least 0 is counted.
+    #[inline]
+    pub(super) fn bin(duration: Nanos) -> usize {
         let value = duration as u64;
         if value < 8 {
             return value as usize;
@@ -171,8 +232,9 @@ impl Histogram {
     }
 
     pub(super) fn percentiles(&self) -> Percentiles {
+        let total: u64 = self.counts.iter().sum();
         let at = |share: f64| {
-            let wanted = (share * self.total as f64).ceil() as u64;
+            let wanted = (share * total as f64).ceil() as u64;
             let mut seen = 0;
             for (bin, count) in self.counts.iter().enumerate() {
                 seen += count;
@@ -182,7 +244,7 @@ impl Histogram {
             }
             0
         };
-        if self.total == 0 {
+        if total == 0 {
             Percentiles::default()
         } else {
             Percentiles { p50: at(0.5), p99: at(0.99), max: self.max }
@@ -206,10 +268,10 @@ mod tests {
 
         #[test]
         fn percentiles_are_those_of_the_sorted_values(mut values in prop::collection::vec(0i64..10_000_000_000, 1..200)) {
-            let mut histogram = Histogram::new();
-            values.iter().for_each(|value| histogram.add(*value));
+            let mut counts = vec![0; Histogram::BINS];
+            values.iter().for_each(|value| counts[Histogram::bin(*value)] += 1);
             values.sort_unstable();
-            let got = histogram.percentiles();
+            let got = Histogram::new(counts, values[values.len() - 1]).percentiles();
             for (share, got) in [(0.5, got.p50), (0.99, got.p99)] {
                 let exact = values[(share * values.len() as f64).ceil() as usize - 1];
                 prop_assert!(got <= exact && exact - got <= exact / 8);

@@ -3,38 +3,72 @@
 //! It drives the same [`Inbox`] as the simulated clock does. After it was made it allocates nothing and takes
 //! no lock.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::ops::Range;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
 use std::time::Duration;
 
 use super::plan::{
     self, CONSUMED, INITIAL, INPUT_HEAD, LOSS, LOSS_WORDS, MESSAGE_HEAD, STEP, STEP_HEAD, Settings,
 };
-use super::report::{Exit, Histogram, NodeReport};
-use super::settings::NodeSettings;
+use super::settings::{NodeSettings, OnDeadline, OnNonFinite};
+use super::vitals::{InputVital, Vital, Vitals};
 use crate::channel::{ChannelError, Endpoint, Listener, Publisher, Subscriber, Waker};
 use crate::clock::WallClock;
-use crate::graph::Graph;
-use crate::node::{ErasedNode, NodeError, Step};
+use crate::graph::{Graph, OnDeadSender, SafeOutput, Scheduling};
+use crate::node::{ErasedNode, NodeError, Step, Stopping};
 use crate::recording::LossReason;
-use crate::schedule::{GateError, Inbox, Wait};
-use crate::time::Nanos;
+use crate::schedule::{GateError, Inbox, Resumption, Wait};
+use crate::time::{Grid, Nanos, SECOND};
 
-/// A wait is never longer than this, so that an order to stop is seen soon.
+/// A wait is never longer than this, so that an order to stop is seen soon and signs of life are given.
 const PATIENCE: Nanos = 20_000_000;
+/// Between the order to take up the work of an earlier process and its first step.
+const LEAD: Nanos = 5_000_000;
 
 /// What others tell a running node.
 #[derive(Debug)]
 pub(super) struct Orders {
     pub(super) stop: AtomicBool,
-    /// Nodes that are gone, and whether there is news about that.
-    pub(super) dead: Box<[AtomicBool]>,
-    pub(super) dead_news: AtomicBool,
+    /// Nobody is left who could start, stop or watch anything.
+    pub(super) launcher_gone: AtomicBool,
+    /// News of each node of the graph, and whether there are any.
+    news: Box<[News]>,
+    any: AtomicBool,
 }
+
+#[derive(Debug)]
+struct News {
+    state: AtomicU8,
+    /// The message that the node did not send any more.
+    next: AtomicU64,
+}
+
+/// There is no news of the node.
+const NONE: u8 = 0;
+/// It is gone, and may come back.
+const AWAY: u8 = 1;
+/// It is gone for good.
+const DEAD: u8 = 2;
 
 impl Orders {
     pub(super) fn new(nodes: usize) -> Self {
-        let dead = (0..nodes).map(|_| AtomicBool::new(false)).collect();
-        Self { stop: AtomicBool::new(false), dead, dead_news: AtomicBool::new(false) }
+        let news = |_| News { state: AtomicU8::new(NONE), next: AtomicU64::new(0) };
+        Self {
+            stop: AtomicBool::new(false),
+            launcher_gone: AtomicBool::new(false),
+            news: (0..nodes).map(news).collect(),
+            any: AtomicBool::new(false),
+        }
+    }
+
+    /// A node is gone before it sent message `next`.
+    pub(super) fn gone(&self, node: usize, next: u64, back: bool) {
+        let Some(news) = self.news.get(node) else { return };
+        news.next.store(next, Ordering::Relaxed);
+        news.state.store(if back { AWAY } else { DEAD }, Ordering::Release);
+        self.any.store(true, Ordering::Release);
     }
 }
 
@@ -49,8 +83,13 @@ pub(super) enum StepError {
     Node { seq: u64, source: NodeError },
     #[error("{sender} is gone, and it was told to stop then")]
     DeadSender { sender: String },
-    #[error("a message of {sender} has {got} words instead of {expected}")]
-    Length { sender: String, got: usize, expected: usize },
+    #[error(
+        "step {seq} took {:.3} ms from when it could begin, and its deadline is {:.3} ms",
+        *took as f64 / 1e6, *deadline as f64 / 1e6
+    )]
+    Deadline { seq: u64, took: Nanos, deadline: Nanos },
+    #[error("step {seq} gave {value} at leaf {leaf}")]
+    NonFinite { seq: u64, leaf: String, value: f64 },
 }
 
 /// A node with everything it needs to run.
@@ -62,24 +101,35 @@ pub(super) struct Stepper {
     output: Publisher,
     wakers: Vec<Waker>,
     records: Option<Records>,
+    /// The output of the last step.
     values: Box<[f64]>,
+    leaves: Vec<String>,
+    /// What was sent last, and what is sent in place of an output.
+    sent: Box<[f64]>,
+    safe: Option<SafeOutput>,
+    on_dead_sender: OnDeadSender,
+    scheduling: Scheduling,
+    grid: Grid,
     /// No step starts at or after this time.
     end: Nanos,
     settings: NodeSettings,
-    name: String,
-    steps: u64,
-    overruns: u64,
-    undelivered: u64,
-    lateness: Histogram,
-    computation: Histogram,
+    vitals: Vitals,
 }
 
 struct Input {
     sender: usize,
     sender_name: String,
+    sender_grid: Grid,
+    sender_vitals: Vitals,
     subscriber: Subscriber,
     values: Box<[f64]>,
-    lost: u64,
+    /// What an earlier process of this node made of the messages.
+    consumed_before: u64,
+    superseded_before: u64,
+    /// Nothing has arrived since an earlier process of this node ended.
+    resumed: bool,
+    /// The sender's safe output waits for room.
+    safe_pending: bool,
 }
 
 /// The way to the recorder.
@@ -97,17 +147,24 @@ impl Stepper {
         node: Box<dyn ErasedNode>,
         settings: &Settings,
         endpoint: &Endpoint,
+        run: &Path,
     ) -> Result<Self, ChannelError> {
         let plan = &graph.nodes()[index];
         let mut inputs = Vec::with_capacity(plan.inputs.len());
         for &connection in &plan.inputs {
             let connection = &graph.connections()[connection];
+            let sender = &graph.nodes()[connection.from];
             inputs.push(Input {
                 sender: connection.from,
-                sender_name: graph.nodes()[connection.from].name.clone(),
+                sender_name: sender.name.clone(),
+                sender_grid: sender.grid,
+                sender_vitals: Vitals::open(run, &sender.name, sender.inputs.len())?,
                 subscriber: endpoint.open(&plan::output(graph, connection.from))?.subscriber()?,
                 values: vec![0.0; connection.leaves].into(),
-                lost: 0,
+                consumed_before: 0,
+                superseded_before: 0,
+                resumed: false,
+                safe_pending: false,
             });
         }
         let records = match settings.recording {
@@ -127,14 +184,15 @@ impl Stepper {
             wakers: Vec::new(),
             records,
             values: vec![0.0; plan.kind.output().leaves.len()].into(),
+            leaves: plan.kind.output().leaves.clone(),
+            sent: plan.kind.initial_message().into(),
+            safe: plan.safe.clone(),
+            on_dead_sender: plan.on_dead_sender,
+            scheduling: plan.scheduling,
+            grid: plan.grid,
             end: settings.duration.unwrap_or(Nanos::MAX),
             settings: settings.nodes.get(index).cloned().unwrap_or_default(),
-            name: plan.name.clone(),
-            steps: 0,
-            overruns: 0,
-            undelivered: 0,
-            lateness: Histogram::new(),
-            computation: Histogram::new(),
+            vitals: Vitals::open(run, &plan.name, plan.inputs.len())?,
         })
     }
 
@@ -152,22 +210,57 @@ impl Stepper {
         Ok((self.output.connect()?, recorders))
     }
 
+    /// Takes up the work of an earlier process of this node, whose counts go on; gives the first step and the shift of the
+    /// ticks.
+    ///
+    /// The numbers of its steps go on, too. Where the grid is kept, the steps that were due meanwhile are never made, and
+    /// receivers count their messages as not sent; where the frequency is kept, all later ticks are shifted.
+    pub(super) fn resume(&mut self, graph: &Graph, index: usize, clock: WallClock) -> (u64, Nanos) {
+        let next = self.vitals.get(Vital::Next);
+        let soon = clock.now() + LEAD;
+        let (step, shift) = match self.scheduling {
+            Scheduling::Phase => (next.max(self.grid.count_until(soon)), 0),
+            Scheduling::Frequency => (next, soon.saturating_sub(self.grid.time(next)).max(0)),
+        };
+        self.vitals.skip(next..step);
+        self.vitals.set(Vital::Next, step);
+        self.vitals.set(Vital::Stepping, 0);
+        self.vitals.add(Vital::Starts, 1);
+        if let Some(records) = &mut self.records {
+            records.sent = self.vitals.get(Vital::Records);
+        }
+        let mut known = Vec::new();
+        for (index, input) in self.inputs.iter_mut().enumerate() {
+            known.push(self.vitals.input(index, InputVital::Known));
+            input.consumed_before = self.vitals.input(index, InputVital::Consumed);
+            input.superseded_before = self.vitals.input(index, InputVital::Superseded);
+            input.resumed = true;
+            // What had arrived, and what the unfinished step saw, died with the earlier process.
+            let waiting = self.vitals.input(index, InputVital::Waiting);
+            self.vitals.add_lost(index, LossReason::ReceiverDown, waiting);
+            self.vitals.set_input(index, InputVital::Waiting, 0);
+        }
+        self.inbox = Inbox::resumed(graph, index, &Resumption { step, shift, known });
+        (step, shift)
+    }
+
     /// Runs the node until its time is over, somebody stops it, or it cannot go on.
     pub(super) fn run(&mut self, clock: WallClock, orders: &Orders) -> Result<(), StepError> {
         let end = self.end;
         while !orders.stop.load(Ordering::Relaxed) {
             // What a node sent before its death is taken before the death is believed.
-            let news = orders.dead_news.swap(false, Ordering::Acquire);
+            let news = orders.any.swap(false, Ordering::Acquire);
             self.receive(clock, end)?;
-            if news {
-                for (input, state) in self.inputs.iter().enumerate() {
-                    if orders.dead[state.sender].load(Ordering::Relaxed) {
-                        self.inbox.sender_dead(input);
-                    }
-                }
-            }
             let now = clock.now();
-            match self.inbox.gate().ready() {
+            self.vitals.set(Vital::Beat, (clock.epoch() + now) as u64);
+            if news {
+                self.learn(orders);
+            }
+            self.substitute(now);
+            let wait = self.inbox.gate().ready();
+            let awaits = if let Wait::Message { input, .. } = wait { input as u64 + 1 } else { 0 };
+            self.vitals.set(Vital::Awaits, awaits);
+            match wait {
                 Wait::Until(time) if time.max(now) >= end => {
                     // A step that comes after the end would be the next; nothing is left to do but to wait
                     // for the end, so that this node does not report before the others can have finished.
@@ -207,11 +300,43 @@ impl Stepper {
         self.listener.wait(Duration::from_nanos(time.clamp(0, PATIENCE) as u64));
     }
 
+    /// Takes in which senders are gone. What they have sent since then shows that they are not.
+    fn learn(&mut self, orders: &Orders) {
+        for (index, input) in self.inputs.iter_mut().enumerate() {
+            let news = &orders.news[input.sender];
+            let state = news.state.load(Ordering::Acquire);
+            if state == NONE || self.inbox.gate().known(index) > news.next.load(Ordering::Relaxed) {
+                continue;
+            }
+            // While it may come back, only those wait for it who would stop without it.
+            if state == DEAD || self.on_dead_sender == OnDeadSender::Continue {
+                self.inbox.sender_dead(index);
+            }
+            input.safe_pending = true;
+        }
+        for input in &self.inputs {
+            orders.news[input.sender].state.store(NONE, Ordering::Relaxed);
+        }
+    }
+
+    /// Puts the safe outputs of senders that are gone where their messages would be.
+    fn substitute(&mut self, now: Nanos) {
+        for (index, input) in self.inputs.iter_mut().enumerate() {
+            if input.safe_pending && self.inbox.substitute(index, now.max(1)) {
+                input.safe_pending = false;
+                if self.inbox.is_safe(index) {
+                    self.vitals.add_safe(index);
+                }
+            }
+        }
+    }
+
     /// Takes everything that has arrived, each message stamped with the time it was taken.
     fn receive(&mut self, clock: WallClock, end: Nanos) -> Result<(), StepError> {
         for index in 0..self.inputs.len() {
+            let mut any = false;
             loop {
-                let Input { subscriber, values, sender_name, .. } = &mut self.inputs[index];
+                let Input { subscriber, values, .. } = &mut self.inputs[index];
                 let mut head = [0; MESSAGE_HEAD];
                 let mut length = 0;
                 let expected = MESSAGE_HEAD + values.len();
@@ -227,25 +352,56 @@ impl Stepper {
                 if !got {
                     break;
                 }
-                if length != expected {
-                    return Err(StepError::Length { sender: sender_name.clone(), got: length, expected });
-                }
-                let [seq, sent] = head;
                 // What arrives after the end belongs to no step.
                 let received = clock.now();
                 if received >= end {
                     continue;
                 }
+                any = true;
+                let [seq, sent] = head;
+                if length != expected || !self.plausible(index, seq, received) {
+                    // Garbage of one node must not end another.
+                    self.lose(index, seq..seq.saturating_add(1), received, LossReason::Malformed)?;
+                    continue;
+                }
                 let arrival =
                     self.inbox.arrive(index, seq, sent as Nanos, received, &self.inputs[index].values)?;
-                let missing = arrival.missing.end - arrival.missing.start;
-                if missing > 0 {
-                    self.lose(index, arrival.missing.start, missing, received, LossReason::Transport)?;
-                }
+                self.miss(index, arrival.missing, received)?;
+                self.inputs[index].resumed = false;
+                self.inputs[index].safe_pending = false;
                 if arrival.slot.is_none() {
-                    self.lose(index, seq, 1, received, LossReason::Overflow)?;
+                    self.lose(index, seq..seq + 1, received, LossReason::Overflow)?;
                 }
             }
+            if any {
+                self.show(index);
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether a sender can have sent a message of this number by now: it is new, and no sender runs that much ahead.
+    fn plausible(&self, input: usize, seq: u64, received: Nanos) -> bool {
+        let known = self.inbox.gate().known(input);
+        seq == known
+            || (seq > known && {
+                let due = self.inputs[input].sender_grid.count_until(received.saturating_add(SECOND));
+                seq <= due.saturating_mul(2).max(known + 1)
+            })
+    }
+
+    /// Accounts for messages that did not come although a later one did.
+    fn miss(&mut self, input: usize, missing: Range<u64>, time: Nanos) -> Result<(), ChannelError> {
+        let reason = match self.inputs[input].resumed {
+            true => LossReason::ReceiverDown,
+            false => LossReason::Transport,
+        };
+        let Range { mut start, end } = missing;
+        while start < end {
+            let gap = self.inputs[input].sender_vitals.skipped(start..end).unwrap_or(end..end);
+            self.lose(input, start..gap.start, time, reason)?;
+            self.lose(input, gap.clone(), time, LossReason::NotSent)?;
+            start = gap.end;
         }
         Ok(())
     }
@@ -253,73 +409,155 @@ impl Stepper {
     fn lose(
         &mut self,
         input: usize,
-        first: u64,
-        count: u64,
+        seqs: Range<u64>,
         time: Nanos,
         reason: LossReason,
     ) -> Result<(), ChannelError> {
-        self.inputs[input].lost += count;
+        let count = seqs.end.saturating_sub(seqs.start);
+        if count == 0 {
+            return Ok(());
+        }
+        self.vitals.add_lost(input, reason, count);
         let Some(records) = &mut self.records else { return Ok(()) };
-        let reason = match reason {
-            LossReason::Transport => 0,
-            LossReason::Overflow => 1,
-        };
         records.words[..LOSS_WORDS].copy_from_slice(&[
             LOSS,
             records.sent,
             input as u64,
-            first,
+            seqs.start,
             count,
             time as u64,
-            reason,
+            plan::reason_code(reason),
         ]);
-        records.send(LOSS_WORDS)
+        records.send(LOSS_WORDS, &self.vitals)
+    }
+
+    /// Shows where the messages of an input are.
+    fn show(&self, input: usize) {
+        let (account, state) = (self.inbox.gate().account(input), &self.inputs[input]);
+        self.vitals.set_input(input, InputVital::Known, self.inbox.gate().known(input));
+        self.vitals.set_input(input, InputVital::Consumed, state.consumed_before + account.consumed);
+        self.vitals.set_input(input, InputVital::Superseded, state.superseded_before + account.superseded);
+        self.vitals.set_input(input, InputVital::Waiting, account.waiting);
     }
 
     /// Makes the next step, which begins now, at `start`, and could have begun at `earliest`.
     fn step(&mut self, clock: WallClock, start: Nanos, earliest: Nanos) -> Result<(), StepError> {
         let step: Step<'_> = self.inbox.begin(start)?;
         let (seq, due) = (step.seq, step.due);
+        self.vitals.set(Vital::Stepping, (clock.epoch() + earliest) as u64);
         self.node.step_into(&step, &mut self.values).map_err(|source| StepError::Node { seq, source })?;
         let end = clock.now();
-        let values = &self.values;
+        self.judge(seq, end - earliest)?;
+        // Before it is sent: whoever takes up this node's work must not use the number again.
+        self.vitals.set(Vital::Next, seq + 1);
+        let values = &self.sent;
         let delivered = self.output.send(MESSAGE_HEAD + values.len(), |word| match word {
             0 => seq,
             1 => end as u64,
             leaf => values[leaf - MESSAGE_HEAD].to_bits(),
         })?;
-        self.undelivered += self.output.topic().subscribers.saturating_sub(delivered) as u64;
+        self.vitals.add(Vital::Sent, 1);
+        let undelivered = self.output.topic().subscribers.saturating_sub(delivered);
+        if undelivered > 0 {
+            self.vitals.add(Vital::Undelivered, undelivered as u64);
+        }
         for waker in &self.wakers {
             waker.wake();
         }
         if let Some(records) = &mut self.records {
             let length = records.step([seq, due as u64, start as u64, end as u64], &self.inbox, values);
-            records.send(length)?;
+            records.send(length, &self.vitals)?;
         }
         let shift = self.inbox.gate().shift();
         self.inbox.end(end)?;
-        self.steps += 1;
-        self.overruns += u64::from(end > self.inbox.gate().due().saturating_add(shift));
-        self.lateness.add(start - earliest);
-        self.computation.add(end - start);
+        self.vitals.set(Vital::Stepping, 0);
+        self.vitals.add(Vital::Steps, 1);
+        if end > self.inbox.gate().due().saturating_add(shift) {
+            self.vitals.add(Vital::Overruns, 1);
+        }
+        self.vitals.lateness.add(start - earliest);
+        self.vitals.computation.add(end - start);
+        for input in 0..self.inputs.len() {
+            self.show(input);
+        }
         Ok(())
     }
 
-    /// How the node fared so far.
-    pub(super) fn report(&self) -> NodeReport {
-        let lost = self.inputs.iter().filter(|input| input.lost > 0);
-        NodeReport {
-            node: self.name.clone(),
-            core: self.settings.core,
-            steps: self.steps,
-            overruns: self.overruns,
-            lateness: self.lateness.percentiles(),
-            computation: self.computation.percentiles(),
-            undelivered: self.undelivered,
-            lost: lost.map(|input| (input.sender_name.clone(), input.lost)).collect(),
-            exit: Exit::Clean,
+    /// Decides what is sent: the output, or the safe one in its place.
+    fn judge(&mut self, seq: u64, took: Nanos) -> Result<(), StepError> {
+        let mut replace = false;
+        if let Some(deadline) = self.settings.deadline.filter(|deadline| took > *deadline) {
+            self.vitals.add(Vital::Late, 1);
+            let by = (took - deadline) as u64;
+            if by > self.vitals.get(Vital::LateBy) {
+                self.vitals.set(Vital::LateBy, by);
+            }
+            match self.settings.on_deadline {
+                OnDeadline::Count | OnDeadline::Warn => {}
+                OnDeadline::Safe => replace = true,
+                OnDeadline::Stop => return Err(StepError::Deadline { seq, took, deadline }),
+            }
         }
+        if let Some(leaf) = self.values.iter().position(|value| !value.is_finite()) {
+            if self.vitals.get(Vital::NonFinite) == 0 {
+                self.vitals.set(Vital::NonFiniteStep, seq);
+                self.vitals.set(Vital::NonFiniteLeaf, leaf as u64);
+            }
+            self.vitals.add(Vital::NonFinite, 1);
+            match self.settings.on_non_finite {
+                OnNonFinite::Warn => {}
+                OnNonFinite::Safe => replace = true,
+                OnNonFinite::Fail => {
+                    let (leaf, value) = (self.leaves[leaf].clone(), self.values[leaf]);
+                    return Err(StepError::NonFinite { seq, leaf, value });
+                }
+            }
+        }
+        match &self.safe {
+            Some(safe) if replace => {
+                safe.write_over(&mut self.sent);
+                self.vitals.add(Vital::Replaced, 1);
+            }
+            _ => self.sent.copy_from_slice(&self.values),
+        }
+        Ok(())
     }
+
+    /// The end of the node: one more step on the safe outputs of its senders, if they have any, and the node's own stop.
+    /// Gives what went wrong with that.
+    ///
+    /// What the last step returns is not sent: the receivers make a last step of their own.
+    pub(super) fn finish(&mut self, clock: WallClock, why: Stopping) -> Option<String> {
+        let mut problem = None;
+        if why != Stopping::Failed && self.inbox.has_safe() {
+            let now = clock.now();
+            let Self { node, inbox, values, .. } = self;
+            let last = catch_unwind(AssertUnwindSafe(|| node.step_into(&inbox.last(now), values)));
+            problem = match last {
+                Ok(Ok(())) => None,
+                Ok(Err(error)) => Some(format!("its last step: {error}")),
+                Err(panic) => Some(format!("its last step {}", panicked(&*panic))),
+            };
+            if problem.is_none() {
+                self.vitals.set(Vital::Stopped, now.max(1) as u64);
+            }
+        }
+        let stopped = catch_unwind(AssertUnwindSafe(|| self.node.stop(why)));
+        self.vitals.set(Vital::Stepping, 0);
+        problem.or_else(|| Some(panicked(&*stopped.err()?)))
+    }
+
+    /// The step that was running, if one was.
+    pub(super) fn running(&self) -> u64 {
+        self.inbox.gate().seq()
+    }
+}
+
+/// What a panic says, in words.
+pub(super) fn panicked(panic: &(dyn std::any::Any + Send)) -> String {
+    let text = panic.downcast_ref::<String>().map(String::as_str);
+    let text = text.or_else(|| panic.downcast_ref::<&str>().copied());
+    format!("panicked: {}", text.unwrap_or("without a message"))
 }
 
 impl Records {
@@ -345,9 +583,11 @@ impl Records {
         at + values.len()
     }
 
-    fn send(&mut self, length: usize) -> Result<(), ChannelError> {
+    fn send(&mut self, length: usize, vitals: &Vitals) -> Result<(), ChannelError> {
         // A record that does not reach the recorder leaves a gap in this count, which the recorder reports.
         self.sent += 1;
-        self.publisher.send(length, |word| self.words[word]).map(drop)
+        self.publisher.send(length, |word| self.words[word])?;
+        vitals.set(Vital::Records, self.sent);
+        Ok(())
     }
 }

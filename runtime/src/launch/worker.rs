@@ -12,6 +12,8 @@ use std::time::{Duration, Instant};
 
 use super::control::{Answer, Line, Order};
 use super::report::Exit;
+use super::stepper::panicked;
+use super::worker_main::STOP_ONLY;
 
 /// A running node.
 #[derive(Debug)]
@@ -32,12 +34,14 @@ enum Body {
 impl Worker {
     /// Starts a node as a process of this program.
     ///
-    /// `command` is the program's hidden subcommand; the run's directory and the node's name follow it.
+    /// `command` is the program's hidden subcommand; the run's directory and the node's name follow it. A process that is to
+    /// stop the node and do nothing else is told so.
     pub(super) fn process(
         command: &[String],
         run: &Path,
         node: &str,
         private: &BTreeMap<String, String>,
+        stop_only: bool,
     ) -> io::Result<Self> {
         let (here, there) = UnixStream::pair()?;
         // Not the path that the program was started by: it may have been rebuilt since, or removed.
@@ -51,6 +55,7 @@ impl Worker {
             .arg(run)
             .arg("--node")
             .arg(node)
+            .args(stop_only.then_some(STOP_ONLY))
             .envs(private)
             .stdin(Stdio::from(OwnedFd::from(there)))
             // What a node prints must not get between the lines that a script reads from the launcher.
@@ -112,15 +117,19 @@ impl Worker {
                     return None;
                 }
                 let status = match handle.take().map(JoinHandle::join) {
-                    Some(Err(panic)) => {
-                        let text = panic.downcast_ref::<String>().map(String::as_str);
-                        let text = text.or_else(|| panic.downcast_ref::<&str>().copied());
-                        format!("panicked: {}", text.unwrap_or("without a message"))
-                    }
+                    Some(Err(panic)) => panicked(&*panic),
                     _ => "its thread ended".into(),
                 };
                 Some(Exit::Died { pid: None, status })
             }
+        }
+    }
+
+    /// Ends its process at once, if it is one: a thread cannot be ended.
+    pub(super) fn kill(&mut self) {
+        if let Body::Process(child) = &mut self.body {
+            // It can only fail when the process has ended.
+            let _ = child.kill();
         }
     }
 
@@ -145,9 +154,13 @@ impl Drop for Worker {
         // However the launcher leaves, no process of the run outlives it.
         self.hang_up();
         match &mut self.body {
-            Body::Process(child) => {
-                let _ = child.kill();
-                let _ = child.wait();
+            Body::Process(_) => {
+                // Time to leave the hardware in a safe state. Those of one run end side by side: all lines are closed first.
+                self.join(Duration::from_millis(500));
+                self.kill();
+                if let Body::Process(child) = &mut self.body {
+                    let _ = child.wait();
+                }
             }
             // A thread cannot be killed: one that hangs in its node's code is left behind after a while.
             Body::Thread(_) => {
@@ -163,7 +176,8 @@ fn describe(status: ExitStatus) -> String {
         (Some(code), _) => format!("exit status {code}"),
         (None, Some(signal)) => {
             let name = signal_hook::low_level::signal_name(signal).unwrap_or("unknown");
-            format!("signal {signal}, {name}")
+            let why = if signal == libc::SIGBUS { "; shared memory may be full" } else { "" };
+            format!("signal {signal}, {name}{why}")
         }
         (None, None) => "unknown status".into(),
     }

@@ -4,20 +4,28 @@ use std::collections::VecDeque;
 use std::io;
 use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
 use std::os::unix::net::UnixStream;
-use std::path::{Path, PathBuf};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 use super::control::{Answer, Line, Order};
 use super::error::RunError;
-use super::plan::{RUN_FILE, RunFile, Settings};
+use super::plan::{self, RUN_FILE, RunFile, Settings};
 use super::report::Exit;
 use super::settings::{NodeSettings, Policy};
-use super::stepper::{Orders, StepError, Stepper};
-use crate::channel::{Endpoint, Space};
+use super::stepper::{Orders, StepError, Stepper, panicked};
+use crate::channel::{Endpoint, Space, Waker, clean_stale};
 use crate::clock::WallClock;
 use crate::graph::Graph;
+use crate::node::Stopping;
 use crate::registry::Registry;
+
+/// The last argument of a process that stops its node and does nothing else.
+pub(super) const STOP_ONLY: &str = "--stop";
+/// How long a node may take to end when its launcher is gone.
+const GRACE: Duration = Duration::from_secs(1);
 
 /// The hidden subcommand under which a program runs one of its own nodes.
 pub const NODE_COMMAND: &str = "__node";
@@ -36,41 +44,77 @@ pub const NODE_COMMAND: &str = "__node";
 /// }
 /// ```
 pub fn node_main(arguments: impl Iterator<Item = String>, registry: &Registry) -> ExitCode {
-    match prepare(arguments, registry) {
-        Ok((graph, index, settings, run, stream)) => {
-            if serve(&graph, index, &settings, &run, stream) {
-                ExitCode::SUCCESS
-            } else {
-                ExitCode::FAILURE
+    let Prepared { graph, index, settings, space, stream, stop_only } = match prepare(arguments, registry) {
+        Ok(prepared) => prepared,
+        Err(error) => {
+            eprintln!("{error}");
+            return ExitCode::FAILURE;
+        }
+    };
+    let in_order = if stop_only {
+        stop_after_crash(&graph, index, &settings)
+    } else {
+        match serve(&graph, index, &settings, space.path(), stream, Some(&space)) {
+            Served::InOrder => true,
+            Served::Failed => false,
+            Served::LauncherGone => {
+                leave(&space);
+                false
             }
+        }
+    };
+    if in_order { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
+
+/// The launcher is gone: whoever of its nodes is the last removes what the run had in shared memory.
+fn leave(space: &Space) {
+    space.leave();
+    // What cannot be removed now is removed by the next run.
+    let _ = clean_stale();
+}
+
+/// Builds a node for nothing but to stop it.
+fn stop_after_crash(graph: &Graph, index: usize, settings: &Settings) -> bool {
+    match graph.build(index, settings.seed) {
+        Ok(mut node) => {
+            node.stop(Stopping::AfterCrash);
+            true
         }
         Err(error) => {
             eprintln!("{error}");
-            ExitCode::FAILURE
+            false
         }
     }
 }
 
-type Prepared = (Graph, usize, Settings, PathBuf, UnixStream);
+/// What a node process knows before it does anything.
+struct Prepared {
+    graph: Graph,
+    index: usize,
+    settings: Settings,
+    space: Space,
+    stream: UnixStream,
+    stop_only: bool,
+}
 
 fn prepare(arguments: impl Iterator<Item = String>, registry: &Registry) -> Result<Prepared, RunError> {
     let refuse = |reason: String| RunError::NotLaunched { reason };
     let arguments: Vec<String> = arguments.collect();
-    let [flag_run, run, flag_node, node] = &arguments[..] else {
-        return Err(refuse(format!("expected --run-dir DIR --node NAME, got {arguments:?}")));
+    let stop_only = arguments.last().is_some_and(|last| last == STOP_ONLY);
+    let named = &arguments[..arguments.len() - usize::from(stop_only)];
+    let (run, node) = match named {
+        [flag_run, run, flag_node, node] if flag_run == "--run-dir" && flag_node == "--node" => (run, node),
+        _ => return Err(refuse(format!("expected --run-dir DIR --node NAME, got {arguments:?}"))),
     };
-    if flag_run != "--run-dir" || flag_node != "--node" {
-        return Err(refuse(format!("expected --run-dir DIR --node NAME, got {arguments:?}")));
-    }
     let stream = launcher().map_err(|e| refuse(format!("standard input is not its line: {e}")))?;
-    die_with_launcher();
-    let run = PathBuf::from(run);
-    let file = Space::attach(&run)?.read(RUN_FILE)?;
+    awake_without_launcher();
+    let space = Space::attach(Path::new(run))?;
+    let file = space.read(RUN_FILE)?;
     let RunFile { graph, settings } = serde_json::from_slice(&file).map_err(|e| refuse(e.to_string()))?;
     let graph = graph.validate(registry)?;
     let index = graph.index(node).ok_or_else(|| refuse(format!("the graph has no node {node}")))?;
     name_process(node);
-    Ok((graph, index, settings, run, stream))
+    Ok(Prepared { graph, index, settings, space, stream, stop_only })
 }
 
 /// Takes the line to the launcher away from standard input, so that no process that the node starts holds it.
@@ -98,11 +142,11 @@ fn duplicate(fd: i32) -> io::Result<OwnedFd> {
     Ok(unsafe { OwnedFd::from_raw_fd(copy) })
 }
 
-/// Asks the system to end this process when its launcher dies. The closing line is noticed anyway; this is for
-/// a node that hangs in its step.
-fn die_with_launcher() {
+/// Asks the system to let this process go on when its launcher dies, if somebody has stopped it: the closing line is
+/// noticed then as by any other node, and nobody else would let it go on.
+fn awake_without_launcher() {
     // SAFETY: the call takes integers only and changes nothing but this process's own setting.
-    unsafe { libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL) };
+    unsafe { libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGCONT) };
 }
 
 /// Shows the node's name in the system's list of processes.
@@ -159,27 +203,41 @@ fn schedule(node: &str, settings: &NodeSettings) -> Vec<String> {
     refused
 }
 
-/// Runs a node by its launcher's orders; says whether it ended in order.
+/// How a node's service ended.
+pub(super) enum Served {
+    InOrder,
+    Failed,
+    /// It ended because nobody was left to give orders.
+    LauncherGone,
+}
+
+/// Runs a node by its launcher's orders. `own` is the space of a node that is a process, which has to end whatever its
+/// code does when its launcher is gone.
 pub(super) fn serve(
     graph: &Graph,
     index: usize,
     settings: &Settings,
     run: &Path,
     stream: UnixStream,
-) -> bool {
-    let Ok(copy) = stream.try_clone() else { return false };
+    own: Option<&Space>,
+) -> Served {
+    let Ok(copy) = stream.try_clone() else { return Served::Failed };
     let (mut orders, mut answers) =
         (Queue { line: Line::new(copy), waiting: VecDeque::new() }, Line::new(stream));
     sleep_exactly();
-    let outcome = work(graph, index, settings, run, &mut orders, &mut answers);
-    let in_order = outcome.is_ok();
+    let outcome = work(graph, index, settings, run, own, &mut orders, &mut answers);
     // The ports, which the outcome holds, are closed only when all nodes have ended: until then others may
     // still read from them. The launcher says so by closing the line.
     if let Err(reason) = &outcome {
         answers.send(&Answer::Failed { reason: reason.clone() });
     }
+    let alone = matches!(&outcome, Ok(Ended { alone: true, .. }));
     while orders.next(1000).is_some() {}
-    in_order
+    match outcome {
+        _ if alone => Served::LauncherGone,
+        Ok(_) => Served::InOrder,
+        Err(_) => Served::Failed,
+    }
 }
 
 /// Orders that have arrived and have not been followed yet.
@@ -203,24 +261,36 @@ impl Queue {
     }
 }
 
+/// A node that has ended, with its ports open.
+struct Ended {
+    _ports: (Stepper, Endpoint),
+    /// Whether its launcher was gone by then.
+    alone: bool,
+}
+
 /// Builds the node, connects it and runs it; gives it back with its ports open.
 fn work(
     graph: &Graph,
     index: usize,
     settings: &Settings,
     run: &Path,
+    own: Option<&Space>,
     queue: &mut Queue,
     answers: &mut Line,
-) -> Result<Option<(Stepper, Endpoint)>, String> {
+) -> Result<Ended, String> {
     let name = &graph.nodes()[index].name;
-    let own = settings.nodes.get(index).ok_or("the launcher says nothing of this node")?;
-    let mut refused: Vec<String> = pin(name, own).into_iter().collect();
+    let wishes = settings.nodes.get(index).ok_or("the launcher says nothing of this node")?;
+    // The threads beside the node's may run wherever this one may now.
+    let anywhere = core_affinity::get_core_ids().unwrap_or_default();
+    let mut refused: Vec<String> = pin(name, wishes).into_iter().collect();
     let space = Space::attach(run).map_err(|e| e.to_string())?;
     let endpoint = Endpoint::new(&space).map_err(|e| e.to_string())?;
     let node = graph.build(index, settings.seed).map_err(|e| e.to_string())?;
-    let mut stepper = Stepper::open(graph, index, node, settings, &endpoint).map_err(|e| e.to_string())?;
+    let mut stepper =
+        Stepper::open(graph, index, node, settings, &endpoint, run).map_err(|e| e.to_string())?;
+    let wake = endpoint.waker(&plan::wake(graph, index)).map_err(|e| e.to_string())?;
     // Last, so that building a node, which may take long, keeps nobody else from running.
-    refused.extend(schedule(name, own));
+    refused.extend(schedule(name, wishes));
     answers.send(&Answer::Opened { refused });
     let clock = loop {
         match queue.next(1000) {
@@ -229,28 +299,67 @@ fn work(
                     stepper.connect(graph, index, &endpoint).map_err(|e| e.to_string())?;
                 answers.send(&Answer::Connected { receivers, recorders });
             }
-            Some(Some(Order::Start { epoch })) => break WallClock::with_epoch(epoch),
-            Some(Some(Order::SenderDead { .. }) | None) => {}
-            Some(Some(Order::Stop)) | None => return Ok(None),
+            Some(Some(Order::Start { epoch, resume })) => {
+                let clock = WallClock::with_epoch(epoch);
+                if resume {
+                    let (step, shift) = stepper.resume(graph, index, clock);
+                    answers.send(&Answer::Resumed { step, shift });
+                }
+                break clock;
+            }
+            Some(Some(Order::SenderGone { .. }) | None) => {}
+            Some(Some(Order::Stop)) => {
+                let problem = stepper.finish(WallClock::starting_in(0), Stopping::Over);
+                answers.send(&Answer::Done { exit: Exit::Clean, problem, ends_run: false });
+                return Ok(Ended { _ports: (stepper, endpoint), alone: false });
+            }
+            None => {
+                stepper.finish(WallClock::starting_in(0), Stopping::LauncherGone);
+                return Ok(Ended { _ports: (stepper, endpoint), alone: true });
+            }
         }
     };
     let (orders, finished) = (Orders::new(graph.nodes().len()), AtomicBool::new(false));
-    let result = std::thread::scope(|scope| {
-        // Orders are read beside the loop, which must wait for nothing but its node's inputs. This thread
-        // inherits the node's core, where it sleeps.
-        scope.spawn(|| follow(graph, queue, &orders, &finished));
-        // However the loop ends, also by a panic of the node, the thread beside it must end too.
+    let (exit, problem, ends_run) = std::thread::scope(|scope| {
+        // Orders are read beside the loop, which must wait for nothing but its node's inputs.
+        scope.spawn(|| {
+            // Not on the node's core: a node that polls under a real-time policy would keep this thread from running.
+            allow(&anywhere);
+            follow(graph, queue, &orders, &finished, &wake, own);
+        });
+        // However the node ends, the thread beside it must end too.
         let _end = Raise(&finished);
-        stepper.run(clock, &orders)
+        let result = catch_unwind(AssertUnwindSafe(|| stepper.run(clock, &orders)));
+        let failed = |reason: String| (Exit::Failed { reason }, Stopping::Failed);
+        let mut ends_run = false;
+        let (exit, why) = match result {
+            Ok(Ok(())) if orders.launcher_gone.load(Ordering::Relaxed) => {
+                (Exit::Clean, Stopping::LauncherGone)
+            }
+            Ok(Ok(())) => (Exit::Clean, Stopping::Over),
+            Ok(Err(StepError::DeadSender { sender })) => (Exit::DeadSender { sender }, Stopping::SenderGone),
+            Ok(Err(error)) => {
+                ends_run = matches!(error, StepError::Deadline { .. });
+                failed(error.to_string())
+            }
+            Err(panic) => failed(format!("step {} {}", stepper.running(), panicked(&*panic))),
+        };
+        (exit, stepper.finish(clock, why), ends_run)
     });
-    let mut report = stepper.report();
-    report.exit = match result {
-        Ok(()) => Exit::Clean,
-        Err(StepError::DeadSender { sender }) => Exit::DeadSender { sender },
-        Err(error) => Exit::Failed { reason: error.to_string() },
-    };
-    answers.send(&Answer::Done { report: Box::new(report) });
-    Ok(Some((stepper, endpoint)))
+    answers.send(&Answer::Done { exit, problem, ends_run });
+    let alone = orders.launcher_gone.load(Ordering::Relaxed);
+    Ok(Ended { _ports: (stepper, endpoint), alone })
+}
+
+/// Lets this thread run on any of these cores.
+fn allow(cores: &[core_affinity::CoreId]) {
+    // SAFETY: a cpu_set_t is plain bits, for which all zeros are a valid value; it outlives the calls, which change nothing
+    // but it and this thread's own setting. A refusal leaves the thread where it is.
+    unsafe {
+        let mut set: libc::cpu_set_t = std::mem::zeroed();
+        cores.iter().for_each(|core| libc::CPU_SET(core.id, &mut set));
+        libc::sched_setaffinity(0, size_of::<libc::cpu_set_t>(), &set);
+    }
 }
 
 /// Sets a flag when it goes out of scope.
@@ -263,20 +372,46 @@ impl Drop for Raise<'_> {
 }
 
 /// Passes orders on to the running loop until it has finished.
-fn follow(graph: &Graph, queue: &mut Queue, orders: &Orders, finished: &AtomicBool) {
+fn follow(
+    graph: &Graph,
+    queue: &mut Queue,
+    orders: &Orders,
+    finished: &AtomicBool,
+    wake: &Waker,
+    own: Option<&Space>,
+) {
     while !finished.load(Ordering::Acquire) {
         match queue.next(20) {
-            Some(Some(Order::Stop)) | None => {
-                orders.stop.store(true, Ordering::Relaxed);
-                return;
-            }
-            Some(Some(Order::SenderDead { node })) => {
+            Some(Some(Order::Stop)) => orders.stop.store(true, Ordering::Relaxed),
+            Some(Some(Order::SenderGone { node, next, back })) => {
                 if let Some(node) = graph.index(&node) {
-                    orders.dead[node].store(true, Ordering::Relaxed);
-                    orders.dead_news.store(true, Ordering::Release);
+                    orders.gone(node, next, back);
                 }
             }
-            Some(_) => {}
+            Some(_) => continue,
+            None => {
+                orders.launcher_gone.store(true, Ordering::Relaxed);
+                orders.stop.store(true, Ordering::Relaxed);
+                wake.wake();
+                return end_alone(finished, own);
+            }
         }
+        wake.wake();
     }
+}
+
+/// The launcher is gone. A node that hangs in its step would be left for ever: there is nobody to end it.
+fn end_alone(finished: &AtomicBool, own: Option<&Space>) {
+    let Some(own) = own else { return };
+    let start = Instant::now();
+    while start.elapsed() < GRACE {
+        if finished.load(Ordering::Acquire) {
+            return;
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    leave(own);
+    eprintln!("a node hangs and its launcher is gone: it ends without having stopped in order");
+    // SAFETY: the call takes an integer and does not return.
+    unsafe { libc::_exit(1) };
 }

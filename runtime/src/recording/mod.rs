@@ -38,7 +38,7 @@ pub struct Recording {
     pub nodes: Vec<NodeTrack>,
     /// Messages that were sent and never reached a window, with the reason; in the order in which it was noticed.
     pub losses: Vec<Loss>,
-    /// Nodes that ended before the run did.
+    /// Nodes that ended before the run did, and nodes that were started again.
     pub faults: Vec<Fault>,
     /// When the file that it was read from lacks its end: where it stops. The recording is then only its beginning.
     pub truncated: Option<String>,
@@ -171,16 +171,39 @@ pub struct Loss {
 }
 
 /// Why a message was lost.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LossReason {
     /// It was sent and a later one arrived, but it did not.
     Transport,
     /// The receiver was so far behind that there was no room left for it.
     Overflow,
+    /// The receiver was down when it was sent, or ended before any step of it saw the message.
+    ReceiverDown,
+    /// The sender was down when it was to make it: the message was never sent.
+    NotSent,
+    /// It had the wrong length, or a number that no message can have.
+    Malformed,
 }
 
-/// A node that ended before the run did.
+impl LossReason {
+    /// All reasons.
+    pub const ALL: [Self; 5] =
+        [Self::Transport, Self::Overflow, Self::ReceiverDown, Self::NotSent, Self::Malformed];
+
+    /// The reason in words.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Transport => "on the way",
+            Self::Overflow => "no room at the receiver",
+            Self::ReceiverDown => "the receiver was down",
+            Self::NotSent => "never sent: the sender was down",
+            Self::Malformed => "malformed",
+        }
+    }
+}
+
+/// A node that ended before the run did, or that was started again after that.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Fault {
@@ -210,6 +233,13 @@ pub enum FaultKind {
     Died {
         /// How, as the operating system tells it.
         message: String,
+    },
+    /// It was started again after it had ended, with a fresh state.
+    Restarted {
+        /// Its first step since then.
+        step: u64,
+        /// By how much its ticks are shifted from then on.
+        shift: Nanos,
     },
 }
 

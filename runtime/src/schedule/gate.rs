@@ -74,6 +74,17 @@ pub enum GateError {
     },
 }
 
+/// Where a node takes up its work again.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Resumption {
+    /// Its first step.
+    pub step: u64,
+    /// By how much its ticks are shifted.
+    pub shift: Nanos,
+    /// For each input, the first message that has not been accounted for; 0 where nothing is said.
+    pub known: Vec<u64>,
+}
+
 /// Decides when a node's steps run and what they consume; see the [module](super) for the rules.
 #[derive(Debug, Clone)]
 pub struct StepGate {
@@ -91,18 +102,32 @@ pub struct StepGate {
 impl StepGate {
     /// The gate of the node at `index` before its first step.
     pub fn new(graph: &Graph, index: usize) -> Self {
+        Self::resumed(graph, index, &Resumption::default())
+    }
+
+    /// The gate of the node at `index` that takes up its work again, after an earlier one of the same node ended.
+    ///
+    /// What belongs to earlier steps is not waited for, and what arrived for them is not seen.
+    pub fn resumed(graph: &Graph, index: usize, from: &Resumption) -> Self {
         let node = &graph.nodes()[index];
-        let inputs = node.inputs.iter().map(|&connection| {
+        let tick = node.grid.ticks_from(from.step);
+        let inputs = node.inputs.iter().enumerate().map(|(input, &connection)| {
             let plan = &graph.connections()[connection];
-            InputGate::new(plan, &graph.nodes()[plan.from].grid)
+            let sender = &graph.nodes()[plan.from].grid;
+            let known = from.known.get(input).copied().unwrap_or(0);
+            let mut gate = InputGate::new(plan, sender, known);
+            if from.step > 0 {
+                gate.resume(sender, tick.time());
+            }
+            gate
         });
         let mut gate = Self {
             inputs: inputs.collect(),
             scheduling: node.scheduling,
             advance: node.advance,
             on_dead_sender: node.on_dead_sender,
-            tick: node.grid.ticks(),
-            shift: 0,
+            tick,
+            shift: from.shift,
             running: None,
             previous_end: 0,
         };
@@ -174,13 +199,31 @@ impl StepGate {
         self.inputs[input].arrive(seq, sent, received)
     }
 
-    /// The sender of an input is dead: no message that has not arrived will come.
+    /// The sender of an input is dead: no message that has not arrived will come. One that arrives all the same shows that
+    /// the sender is back.
     ///
     /// # Panics
     ///
     /// When the node has no such input.
     pub fn sender_dead(&mut self, input: usize) {
         self.inputs[input].die();
+    }
+
+    /// The sender of an input is gone, for now or for good: a step that starts at `time` or later sees its safe output as
+    /// the newest message. The result is the place where the payload belongs; `None` when there is no room before the next
+    /// step.
+    ///
+    /// # Panics
+    ///
+    /// When the node has no such input.
+    pub fn substitute(&mut self, input: usize, time: Nanos) -> Option<usize> {
+        self.inputs[input].substitute(time)
+    }
+
+    /// The number of the message that comes next at an input: all before it have arrived or are lost.
+    #[inline]
+    pub fn known(&self, input: usize) -> u64 {
+        self.inputs[input].known()
     }
 
     /// The next step starts. What it sees is then in [`visible`](Self::visible).

@@ -1,7 +1,7 @@
 //! A gate with the payloads beside it.
 
-use super::{Arrival, GateError, StepGate};
-use crate::graph::Graph;
+use super::{Arrival, GateError, Resumption, StepGate};
+use crate::graph::{Graph, SafeOutput};
 use crate::node::{Consumed, InputWindow, Step};
 use crate::time::Nanos;
 
@@ -20,17 +20,27 @@ struct Ring {
     leaves: usize,
     values: Box<[f64]>,
     initial: Box<[f64]>,
+    /// The newest message that arrived, and then the safe output of its sender over it.
+    newest: Box<[f64]>,
+    safe: Option<SafeOutput>,
 }
 
 impl Inbox {
     /// The inbox of the node at `index` of the graph.
     pub fn new(graph: &Graph, index: usize) -> Self {
-        let gate = StepGate::new(graph, index);
+        Self::resumed(graph, index, &Resumption::default())
+    }
+
+    /// The inbox of a node that takes up its work again; see [`StepGate::resumed`].
+    pub fn resumed(graph: &Graph, index: usize, from: &Resumption) -> Self {
+        let gate = StepGate::resumed(graph, index, from);
         let plans = || graph.nodes()[index].inputs.iter().map(|&connection| &graph.connections()[connection]);
         let rings = plans().enumerate().map(|(input, plan)| Ring {
             leaves: plan.leaves,
             values: vec![0.0; plan.leaves * gate.capacity(input)].into_boxed_slice(),
             initial: graph.nodes()[plan.from].kind.initial_message().into(),
+            newest: graph.nodes()[plan.from].kind.initial_message().into(),
+            safe: graph.nodes()[plan.from].safe.clone(),
         });
         let windows = plans().map(|plan| InputWindow::new(plan.port.clone(), plan.leaves, plan.window));
         Self { rings: rings.collect(), windows: windows.collect(), gate }
@@ -67,8 +77,11 @@ impl Inbox {
         payload: &[f64],
     ) -> Result<Arrival, GateError> {
         let arrival = self.gate.arrive(input, seq, sent, received)?;
+        let ring = &mut self.rings[input];
+        if ring.safe.is_some() {
+            ring.newest.copy_from_slice(payload);
+        }
         if let Some(slot) = arrival.slot {
-            let ring = &mut self.rings[input];
             ring.values[slot * ring.leaves..(slot + 1) * ring.leaves].copy_from_slice(payload);
         }
         Ok(arrival)
@@ -81,6 +94,55 @@ impl Inbox {
     /// When the node has no such input.
     pub fn sender_dead(&mut self, input: usize) {
         self.gate.sender_dead(input);
+    }
+
+    /// The sender of an input is gone, for now or for good. If it has a safe output, that is the newest message from `time`
+    /// on. Says whether nothing is left to do: without room for it before the next step, this is to be called again.
+    ///
+    /// # Panics
+    ///
+    /// When the node has no such input.
+    pub fn substitute(&mut self, input: usize, time: Nanos) -> bool {
+        let ring = &mut self.rings[input];
+        let Some(safe) = &ring.safe else { return true };
+        let Some(slot) = self.gate.substitute(input, time) else { return false };
+        safe.write_over(&mut ring.newest);
+        ring.values[slot * ring.leaves..(slot + 1) * ring.leaves].copy_from_slice(&ring.newest);
+        true
+    }
+
+    /// Whether the sender of an input has a safe output.
+    ///
+    /// # Panics
+    ///
+    /// When the node has no such input.
+    pub fn is_safe(&self, input: usize) -> bool {
+        self.rings[input].safe.is_some()
+    }
+
+    /// Whether the sender of some input has a safe output.
+    pub fn has_safe(&self) -> bool {
+        self.rings.iter().any(|ring| ring.safe.is_some())
+    }
+
+    /// One more step after the last, at `now`, which no schedule asks for: where a sender has a safe output, the window
+    /// holds nothing else; the other inputs are as the last step saw them.
+    pub fn last(&mut self, now: Nanos) -> Step<'_> {
+        for (ring, window) in self.rings.iter_mut().zip(&mut self.windows) {
+            if let Some(safe) = &ring.safe {
+                safe.write_over(&mut ring.newest);
+                let places = window.capacity();
+                window.clear(0);
+                for _ in 0..places {
+                    window.push(Consumed { seq: None, sent: now, received: now }, &ring.newest);
+                }
+            } else if window.stamps().is_empty() {
+                for _ in 0..window.capacity() {
+                    window.push(Consumed::INITIAL, &ring.initial);
+                }
+            }
+        }
+        Step::new(self.gate.seq(), self.gate.due(), now, &self.windows)
     }
 
     /// The next step starts; it is returned as the node is to see it.

@@ -51,6 +51,8 @@ struct Entry {
     received: Nanos,
     /// From when on a step may use it; never decreases from one entry to the next.
     usable: Nanos,
+    /// It is no message that was sent, but the safe output of a sender that is gone.
+    safe: bool,
 }
 
 /// One input. Its entries form a ring: first the window of the last step, then what came since.
@@ -74,13 +76,16 @@ pub(super) struct InputGate {
     /// Expected arrivals, for `JitterPolicy::Buffer`; the cursor follows the last arrival.
     expected: Option<Ticks>,
     dead: bool,
+    /// Safe outputs among the entries that no step has seen.
+    safes: usize,
     last_received: Nanos,
     last_usable: Nanos,
     account: Account,
 }
 
 impl InputGate {
-    pub(super) fn new(plan: &ConnectionPlan, sender: &Grid) -> Self {
+    /// The input before the first step, when every message below `known` has been accounted for already.
+    pub(super) fn new(plan: &ConnectionPlan, sender: &Grid, known: u64) -> Self {
         let buffer = plan.jitter == JitterPolicy::Buffer;
         let arrivals = sender.with_phase(sender.phase().saturating_add(plan.expected));
         Self {
@@ -93,10 +98,11 @@ impl InputGate {
             seen: 0,
             leaving: 0,
             superseded: 0,
-            known: 0,
+            known,
             ideal: sender.ticks(),
-            expected: buffer.then(|| arrivals.ticks()),
+            expected: buffer.then(|| arrivals.ticks_from(known)),
             dead: false,
+            safes: 0,
             last_received: Nanos::MIN,
             last_usable: Nanos::MIN,
             account: Account::default(),
@@ -116,7 +122,49 @@ impl InputGate {
     }
 
     pub(super) fn account(&self) -> Account {
-        Account { waiting: (self.len - self.seen) as u64, ..self.account }
+        Account { waiting: (self.len - self.seen - self.safes) as u64, ..self.account }
+    }
+
+    /// How many of these entries, which no step has seen, are safe outputs.
+    #[inline]
+    fn safes_among(&self, entries: Range<usize>) -> usize {
+        if self.safes == 0 { 0 } else { entries.filter(|&index| self.entry(index).safe).count() }
+    }
+
+    /// The number of the message that comes next.
+    #[inline]
+    pub(super) fn known(&self) -> u64 {
+        self.known
+    }
+
+    /// The node's first step, due at `due`, is not step 0: what belongs to earlier ones is not waited for. Only before the
+    /// first step.
+    pub(super) fn resume(&mut self, sender: &Grid, due: Nanos) {
+        self.ideal = sender.ticks_from(sender.count_until(due));
+        if self.skip && self.ideal.tick() > 0 && sender.time(self.ideal.tick() - 1) == due {
+            self.ideal = sender.ticks_from(self.ideal.tick() - 1);
+        }
+    }
+
+    /// The sender is gone: a step that starts from now on sees its safe output as the newest message. The result is the
+    /// place where the payload belongs; `None` when there is no room before the next step.
+    pub(super) fn substitute(&mut self, time: Nanos) -> Option<usize> {
+        let time = time.max(self.last_usable);
+        if self.len == self.entries.len() {
+            let newer = self.entry(self.window);
+            if !self.belongs(&newer, time) {
+                return None;
+            }
+            self.drop_oldest(1);
+        }
+        self.last_usable = time;
+        let slot = self.slot(self.len);
+        // It belongs to whichever step comes next, and has no number of its own.
+        let seq = self.known.saturating_sub(1);
+        self.entries[slot] = Entry { seq, sent: time, received: time, usable: time, safe: true };
+        self.len += 1;
+        self.safes += 1;
+        Some(slot)
     }
 
     /// The message that the next step waits for, if it is not there yet.
@@ -154,6 +202,8 @@ impl InputGate {
         }
         let missing = self.known..seq;
         self.known = seq + 1;
+        // Who sends is not dead, or not any more.
+        self.dead = false;
         self.account.lost_transport += missing.end - missing.start;
         self.account.arrived += 1;
         self.last_received = received;
@@ -175,7 +225,7 @@ impl InputGate {
             self.drop_oldest(1);
         }
         let slot = self.slot(self.len);
-        self.entries[slot] = Entry { seq, sent, received, usable: self.last_usable };
+        self.entries[slot] = Entry { seq, sent, received, usable: self.last_usable, safe: false };
         self.len += 1;
         Ok(Arrival { slot: Some(slot), missing })
     }
@@ -189,9 +239,11 @@ impl InputGate {
         }
         let oldest = visible.saturating_sub(self.window);
         self.drop_oldest(oldest);
-        let fresh = visible - oldest - self.seen;
-        self.account.consumed += fresh as u64;
-        self.seen += fresh;
+        let seen = visible - oldest;
+        let safes = self.safes_among(self.seen..seen);
+        self.safes -= safes;
+        self.account.consumed += (seen - self.seen - safes) as u64;
+        self.seen = seen;
         self.superseded = self.leaving;
         self.leaving = 0;
     }
@@ -211,8 +263,8 @@ impl InputGate {
     #[inline]
     pub(super) fn visible(&self) -> impl Iterator<Item = (usize, Consumed)> + '_ {
         (0..self.seen).map(|index| {
-            let Entry { seq, sent, received, .. } = self.entry(index);
-            (self.slot(index), Consumed { seq: Some(seq), sent, received })
+            let Entry { seq, sent, received, safe, .. } = self.entry(index);
+            (self.slot(index), Consumed { seq: (!safe).then_some(seq), sent, received })
         })
     }
 
@@ -229,7 +281,9 @@ impl InputGate {
 
     #[inline]
     fn drop_oldest(&mut self, count: usize) {
-        let unseen = count.saturating_sub(self.seen);
+        let safes = self.safes_among(self.seen..count);
+        self.safes -= safes;
+        let unseen = count.saturating_sub(self.seen) - safes;
         self.leaving += unseen as u64;
         self.account.superseded += unseen as u64;
         self.seen = self.seen.saturating_sub(count);

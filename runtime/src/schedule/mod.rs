@@ -19,6 +19,8 @@
 //! - An overrun is a step that ends after the next one was due. Under
 //!   [`Scheduling::Frequency`](crate::graph::Scheduling) all later ticks shift by what it ran over; under
 //!   [`Scheduling::Phase`](crate::graph::Scheduling) they do not. Waiting for a message shifts nothing by itself.
+//! - A sender that is gone may have a safe output. It then stands at the end of the window as if it were a message, without
+//!   a number, from the moment at which its receiver learns of it; what is waited for does not change by it.
 //! - With `advance`, the due time is not waited for, unless a sender is dead: then nothing else would hold the node back.
 //!
 //! ```
@@ -70,7 +72,7 @@ mod inbox;
 mod input;
 mod verify;
 
-pub use gate::{GateError, StepGate, Wait};
+pub use gate::{GateError, Resumption, StepGate, Wait};
 pub use inbox::Inbox;
 pub use input::{Account, Arrival};
 pub use verify::{Deviation, DeviationKind, ScheduleCheck, verify};

@@ -2,10 +2,10 @@
 
 use std::fmt;
 
-use super::{StepGate, Wait};
+use super::{Resumption, StepGate, Wait};
 use crate::graph::Graph;
 use crate::node::Consumed;
-use crate::recording::{Clock, Fault, LossReason, NodeTrack, Recording, StepRecord};
+use crate::recording::{Clock, Fault, FaultKind, LossReason, NodeTrack, Recording, StepRecord};
 use crate::time::Nanos;
 
 /// Whether the recorded schedule of one node is one that its gate decides.
@@ -143,6 +143,8 @@ struct Arrived {
     step: u64,
     /// Whether its time of arrival is only a bound.
     bound: bool,
+    /// Whether it is the safe output of a sender that was gone.
+    safe: bool,
 }
 
 /// Feeds recorded steps of the node at `index`, from its first on, through its gate: the same arrivals at the same times
@@ -208,6 +210,18 @@ impl<'a> Feed<'a> {
     /// Checks one step, and says how long after the earliest possible moment it started.
     fn step(&mut self, step: &StepRecord) -> Result<Nanos, DeviationKind> {
         let impossible = |error: &dyn fmt::Display| DeviationKind::Impossible { problem: error.to_string() };
+        if let Some(shift) = restart(self.recording, self.graph, self.index, step.seq) {
+            let mut known: Vec<u64> = Vec::new();
+            for (input, (arrivals, told)) in self.arrivals.iter_mut().enumerate() {
+                // What came before the restart was for the node that ended.
+                while arrivals.get(*told).is_some_and(|next| next.step < step.seq) {
+                    *told += 1;
+                }
+                known.push(arrivals.get(*told).map_or(self.gate.known(input), |next| next.seq));
+            }
+            self.gate =
+                StepGate::resumed(self.graph, self.index, &Resumption { step: step.seq, shift, known });
+        }
         if step.due != self.gate.due() {
             return Err(DeviationKind::Due { recorded: step.due, expected: self.gate.due() });
         }
@@ -217,7 +231,14 @@ impl<'a> Feed<'a> {
                 if next.received > step.start || (next.received == step.start && next.step > step.seq) {
                     break;
                 }
-                self.gate.arrive(input, next.seq, next.sent, next.received).map_err(|e| impossible(&e))?;
+                if next.safe {
+                    // Without room for it there is no place in the window either, which the comparison below shows.
+                    let _ = self.gate.substitute(input, next.received);
+                } else {
+                    self.gate
+                        .arrive(input, next.seq, next.sent, next.received)
+                        .map_err(|e| impossible(&e))?;
+                }
                 *told += 1;
             }
         }
@@ -286,6 +307,16 @@ impl<'a> Feed<'a> {
     }
 }
 
+/// The shift of the ticks, if this step is the first after the node was started again.
+fn restart(recording: &Recording, graph: &Graph, index: usize, seq: u64) -> Option<Nanos> {
+    recording.faults.iter().find_map(|fault| match &fault.kind {
+        FaultKind::Restarted { step, shift } if *step == seq && fault.node == graph.nodes()[index].name => {
+            Some(*shift)
+        }
+        _ => None,
+    })
+}
+
 /// What arrived at an input, in order. Messages that were passed over are not recorded one by one: they did not
 /// overtake, so they arrived no later than the next one that was seen, and count as arriving with it.
 fn arrivals(
@@ -311,8 +342,34 @@ fn arrivals(
     let mut known = 0;
     for step in steps {
         let Some(record) = step.inputs.get(input) else { continue };
+        let mut passed = record.superseded;
         for consumed in &record.consumed {
+            if consumed.is_safe_output()
+                && !arrivals.iter().any(|a| a.safe && a.received == consumed.received)
+            {
+                // What it pushed out came before it.
+                for earlier in known..known + passed {
+                    arrivals.push(Arrived {
+                        seq: earlier,
+                        sent: sent(earlier),
+                        received: consumed.received,
+                        step: step.seq,
+                        bound: true,
+                        safe: false,
+                    });
+                }
+                known += std::mem::take(&mut passed);
+                arrivals.push(Arrived {
+                    seq: 0,
+                    sent: consumed.sent,
+                    received: consumed.received,
+                    step: step.seq,
+                    bound: false,
+                    safe: true,
+                });
+            }
             let Some(seq) = consumed.seq.filter(|&seq| seq >= known) else { continue };
+            passed = passed.saturating_sub(seq - known);
             for earlier in known..seq {
                 let received = consumed.received;
                 match lost.next_if(|loss| loss.seq == earlier) {
@@ -322,6 +379,7 @@ fn arrivals(
                         received,
                         step: step.seq,
                         bound: true,
+                        safe: false,
                     }),
                     Some(loss) if loss.reason == LossReason::Overflow => arrivals.push(Arrived {
                         seq: earlier,
@@ -329,6 +387,7 @@ fn arrivals(
                         received: loss.time,
                         step: u64::MAX,
                         bound: false,
+                        safe: false,
                     }),
                     // The gate takes the hole in the numbers for what it is.
                     Some(_) => {}
@@ -340,6 +399,7 @@ fn arrivals(
                 received: consumed.received,
                 step: step.seq,
                 bound: false,
+                safe: false,
             });
             known = seq + 1;
         }

@@ -1,0 +1,91 @@
+//! What the signs of life of all nodes add up to: how each fared, and what became of every message.
+
+use super::crew::Member;
+use super::report::{Exit, InputReport, NodeReport, NonFinite};
+use super::vitals::{InputVital, Vital};
+use crate::graph::Graph;
+use crate::recording::LossReason;
+use crate::time::Nanos;
+
+/// The reports of all nodes, in the order of the graph.
+pub(super) fn reports(graph: &Graph, members: &[Member]) -> Vec<NodeReport> {
+    (0..members.len()).map(|node| report(graph, members, node)).collect()
+}
+
+fn report(graph: &Graph, members: &[Member], node: usize) -> NodeReport {
+    let (plan, member) = (&graph.nodes()[node], &members[node]);
+    let vitals = &member.vitals;
+    let non_finite = vitals.get(Vital::NonFinite);
+    let leaf = vitals.get(Vital::NonFiniteLeaf) as usize;
+    let inputs: Vec<InputReport> =
+        (0..plan.inputs.len()).map(|input| input_report(graph, members, node, input)).collect();
+    let mut lost: Vec<(String, u64)> = Vec::new();
+    for input in &inputs {
+        let count: u64 = input.lost.iter().map(|(_, count)| count).sum();
+        match lost.iter_mut().find(|(from, _)| *from == input.from) {
+            Some((_, total)) => *total += count,
+            None if count > 0 => lost.push((input.from.clone(), count)),
+            None => {}
+        }
+    }
+    let stopped = vitals.get(Vital::Stopped) as Nanos;
+    NodeReport {
+        node: plan.name.clone(),
+        core: member.settings.core,
+        steps: vitals.get(Vital::Steps),
+        overruns: vitals.get(Vital::Overruns),
+        lateness: vitals.lateness.percentiles(),
+        computation: vitals.computation.percentiles(),
+        sent: vitals.get(Vital::Sent),
+        undelivered: vitals.get(Vital::Undelivered),
+        inputs,
+        lost,
+        late: vitals.get(Vital::Late),
+        late_by: vitals.get(Vital::LateBy) as Nanos,
+        replaced: vitals.get(Vital::Replaced),
+        non_finite: (non_finite > 0).then(|| NonFinite {
+            count: non_finite,
+            step: vitals.get(Vital::NonFiniteStep),
+            leaf: plan.kind.output().leaves.get(leaf).cloned().unwrap_or_default(),
+        }),
+        restarts: member.restarts,
+        hangs: member.hangs,
+        made_safe: (stopped > 0).then_some(stopped),
+        exit: member.exit.clone().unwrap_or_default(),
+    }
+}
+
+fn input_report(graph: &Graph, members: &[Member], node: usize, input: usize) -> InputReport {
+    let connection = &graph.connections()[graph.nodes()[node].inputs[input]];
+    let vitals = &members[node].vitals;
+    let consumed = vitals.input(input, InputVital::Consumed);
+    let superseded = vitals.input(input, InputVital::Superseded);
+    let sent = members[connection.from].vitals.get(Vital::Sent);
+    let mut lost: Vec<(LossReason, u64)> = LossReason::ALL
+        .into_iter()
+        .map(|reason| (reason, vitals.lost(input, reason)))
+        .filter(|(reason, count)| *reason != LossReason::NotSent && *count > 0)
+        .collect();
+    // What is malformed may be anything, but no message that was sent to this input.
+    let of_sent = lost.iter().filter(|(reason, _)| *reason != LossReason::Malformed);
+    let rest = sent.saturating_sub(consumed + superseded + of_sent.map(|(_, count)| count).sum::<u64>());
+    // What is under way to a node that ended for good will not arrive.
+    let gone = !matches!(members[node].exit, Some(Exit::Clean) | None);
+    if gone && rest > 0 {
+        match lost.iter_mut().find(|(reason, _)| *reason == LossReason::ReceiverDown) {
+            Some((_, count)) => *count += rest,
+            None => lost.push((LossReason::ReceiverDown, rest)),
+        }
+    }
+    InputReport {
+        from: graph.nodes()[connection.from].name.clone(),
+        port: connection.port.clone(),
+        sent,
+        consumed,
+        superseded,
+        in_flight: if gone { 0 } else { rest },
+        lost,
+        not_sent: vitals.lost(input, LossReason::NotSent),
+        safe: vitals.input(input, InputVital::Safe),
+    }
+}

@@ -1,0 +1,387 @@
+//! The nodes of a run as the launcher sees them: brought up together, watched, ended together.
+//!
+//! What happens to a single node while the run goes on is in [`supervise`](super::supervise).
+
+use std::time::{Duration, Instant};
+
+use super::RunOptions;
+use super::account;
+use super::control::{Answer, Order, readable};
+use super::error::RunError;
+use super::event::{EventKind, Journal};
+use super::plan::{self, Settings};
+use super::recorder::Recorder;
+use super::report::{End, Exit, NodeReport};
+use super::settings::{NodeSettings, OnDeadline};
+use super::signals::Signals;
+use super::vitals::Vitals;
+use super::worker::Worker;
+use crate::channel::Endpoint;
+use crate::clock::WallClock;
+use crate::graph::{Graph, OnDeadSender};
+use crate::time::Nanos;
+
+/// How long nodes that wait for a dead one may take to stop by themselves before they are told to.
+const SETTLING: Duration = Duration::from_millis(300);
+/// How often the launcher looks around when nothing happens.
+const TICK: Nanos = 50_000_000;
+/// How often at most.
+const SHORTEST_TICK: Nanos = 2_000_000;
+
+/// Starts a node: its place in the graph, and whether the process is to do nothing but to stop it.
+pub(super) type Hire<'a> = dyn Fn(usize, bool) -> Result<Worker, RunError> + 'a;
+
+/// One node of the run.
+pub(super) struct Member {
+    pub(super) worker: Worker,
+    pub(super) settings: NodeSettings,
+    pub(super) vitals: Vitals,
+    pub(super) state: State,
+    /// How it ended last; it may have been started again since then.
+    pub(super) exit: Option<Exit>,
+    pub(super) restarts: u64,
+    /// Restarts since it last ran for a while.
+    pub(super) in_a_row: u32,
+    /// When it was last up.
+    pub(super) up: Instant,
+    /// Since when it gives no sign of life.
+    pub(super) silent: Option<Nanos>,
+    pub(super) hangs: u64,
+    /// The launcher ended it because it hung for so long.
+    pub(super) condemned: Option<Nanos>,
+    /// What has been told of late steps and of outputs that are no numbers, and when.
+    pub(super) told: Told,
+}
+
+/// What the journal has of a node's counts.
+#[derive(Debug, Default)]
+pub(super) struct Told {
+    pub(super) late: u64,
+    pub(super) late_at: Option<Instant>,
+    pub(super) non_finite: u64,
+    pub(super) non_finite_at: Option<Instant>,
+    /// The step of which it was told that it is overdue, counted from 1.
+    pub(super) overdue: u64,
+}
+
+/// Where a node is in its life.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum State {
+    /// It runs.
+    Up,
+    /// It ended, and is started again at this time.
+    Down(Instant),
+    /// It was started again at this time, and is not up yet.
+    Coming(Instant),
+    /// It has ended, and is not started again.
+    Over,
+}
+
+/// The nodes of a run, and the recorder.
+pub(super) struct Crew<'a> {
+    pub(super) graph: &'a Graph,
+    pub(super) settings: &'a Settings,
+    pub(super) endpoint: &'a Endpoint,
+    pub(super) hire: &'a Hire<'a>,
+    pub(super) members: Vec<Member>,
+    pub(super) recorder: Option<Recorder>,
+    pub(super) journal: Journal,
+    pub(super) patience: Duration,
+    /// Processes that do nothing but stop the hardware of a node that died.
+    pub(super) stopping: Vec<(usize, Worker)>,
+}
+
+impl Drop for Crew<'_> {
+    fn drop(&mut self) {
+        // All are told before the first is waited for.
+        self.members.iter_mut().for_each(|member| member.worker.hang_up());
+    }
+}
+
+impl<'a> Crew<'a> {
+    /// Starts all nodes.
+    pub(super) fn start(
+        graph: &'a Graph,
+        settings: &'a Settings,
+        endpoint: &'a Endpoint,
+        hire: &'a Hire<'a>,
+        vitals: Vec<Vitals>,
+        recorder: Option<Recorder>,
+        options: &mut RunOptions,
+    ) -> Result<Self, RunError> {
+        let journal = Journal { tell: options.events.take(), ..Journal::default() };
+        let (patience, stopping) = (options.patience, Vec::new());
+        let mut crew = Self {
+            graph,
+            settings,
+            endpoint,
+            hire,
+            members: Vec::new(),
+            recorder,
+            journal,
+            patience,
+            stopping,
+        };
+        for (node, vitals) in vitals.into_iter().enumerate() {
+            crew.members.push(Member {
+                worker: hire(node, false)?,
+                settings: settings.nodes[node].clone(),
+                vitals,
+                state: State::Up,
+                exit: None,
+                restarts: 0,
+                in_a_row: 0,
+                up: Instant::now(),
+                silent: None,
+                hangs: 0,
+                condemned: None,
+                told: Told::default(),
+            });
+        }
+        Ok(crew)
+    }
+
+    /// Brings all nodes to the point where they wait for the common start; gives what the system refused them.
+    pub(super) fn handshake(&mut self) -> Result<Vec<String>, RunError> {
+        let mut said = Vec::new();
+        self.await_all("open its channels", |_, answer| {
+            let Answer::Opened { refused } = answer else { return Ok(false) };
+            said.extend_from_slice(refused);
+            Ok(true)
+        })?;
+        self.order_all(&Order::Connect);
+        let (graph, recording) = (self.graph, self.settings.recording);
+        self.await_all("connect to its receivers", |node, answer| {
+            let Answer::Connected { receivers, recorders } = answer else { return Ok(false) };
+            let expected = graph.nodes()[node].outputs.len() + usize::from(recording);
+            let got = receivers + recorders;
+            if got != expected {
+                return Err(RunError::Receivers { node: graph.nodes()[node].name.clone(), got, expected });
+            }
+            Ok(true)
+        })?;
+        Ok(said)
+    }
+
+    pub(super) fn order_all(&mut self, order: &Order) {
+        self.members.iter_mut().for_each(|member| member.worker.order(order));
+    }
+
+    /// Waits until every node has given the answer that `accept` wants.
+    fn await_all(
+        &mut self,
+        what: &'static str,
+        mut accept: impl FnMut(usize, &Answer) -> Result<bool, RunError>,
+    ) -> Result<(), RunError> {
+        let start = Instant::now();
+        let mut pending = vec![true; self.members.len()];
+        loop {
+            for (node, Member { worker, .. }) in self.members.iter_mut().enumerate() {
+                for answer in worker.answers() {
+                    if let Answer::Failed { reason } = answer {
+                        return Err(RunError::Start {
+                            node: worker.node.clone(),
+                            exit: Exit::Failed { reason },
+                        });
+                    }
+                    if accept(node, &answer)? {
+                        pending[node] = false;
+                    }
+                }
+                if worker.line.closed() {
+                    worker.join(Duration::from_millis(100));
+                }
+                if let Some(exit) = worker.death() {
+                    return Err(RunError::Start { node: worker.node.clone(), exit });
+                }
+            }
+            let Some(late) = pending.iter().position(|pending| *pending) else { return Ok(()) };
+            if start.elapsed() > self.patience {
+                let node = self.members[late].worker.node.clone();
+                return Err(RunError::Silent { node, what, seconds: self.patience.as_secs_f64() });
+            }
+            self.pause(TICK);
+        }
+    }
+
+    /// Waits until a node says something or dies, a signal comes, or the time is over.
+    pub(super) fn pause(&self, time: Nanos) {
+        let lines = self.members.iter().map(|member| &member.worker.line).filter(|line| !line.closed());
+        let lines: Vec<_> = lines.map(|line| line.fd()).collect();
+        readable(&lines, ((time + 999_999) / 1_000_000).clamp(0, 1000) as i32);
+    }
+
+    /// How often to look around: often enough for what has to be noticed in time.
+    fn tick(&self) -> Nanos {
+        let wanted = self.members.iter().map(|Member { settings, .. }| {
+            let deadline = match settings.on_deadline {
+                OnDeadline::Safe | OnDeadline::Stop => settings.deadline.unwrap_or(Nanos::MAX),
+                OnDeadline::Count | OnDeadline::Warn => Nanos::MAX,
+            };
+            deadline.min(settings.heartbeat / 4)
+        });
+        wanted.min().unwrap_or(TICK).clamp(SHORTEST_TICK, TICK)
+    }
+
+    /// Watches the running nodes until the run is to end.
+    pub(super) fn watch(
+        &mut self,
+        clock: WallClock,
+        options: &mut RunOptions,
+        signals: Option<&Signals>,
+    ) -> End {
+        let tick = self.tick();
+        loop {
+            let now = clock.now();
+            let left = options.duration.map_or(Nanos::MAX, |duration| duration - now);
+            if let Some(progress) = &mut options.progress
+                && !progress(super::Progress { elapsed: now, duration: options.duration })
+            {
+                return End::Signal;
+            }
+            if signals.is_some_and(Signals::raised) {
+                return End::Signal;
+            }
+            if left <= 0 {
+                return End::Duration;
+            }
+            for node in 0..self.members.len() {
+                if let Some(end) = self.look(node, clock) {
+                    return end;
+                }
+            }
+            if self.recorder.as_ref().is_some_and(Recorder::ended) {
+                return End::Recorder;
+            }
+            if self.members.iter().all(|member| member.state == State::Over) {
+                return End::Duration;
+            }
+            let next = self.members.iter().filter_map(|member| match member.state {
+                State::Down(at) => Some(at.saturating_duration_since(Instant::now()).as_nanos() as Nanos),
+                _ => None,
+            });
+            self.pause(tick.min(left).min(next.min().unwrap_or(tick)).max(1));
+        }
+    }
+
+    /// Whether the run cannot go on without a node: it is the supervisor, nobody listens to it, or somebody
+    /// who does wants to stop then.
+    pub(super) fn needed(&self, node: usize) -> bool {
+        let receivers = plan::receivers(self.graph, node);
+        node == self.graph.supervisor()
+            || receivers.is_empty()
+            || receivers
+                .iter()
+                .any(|receiver| self.graph.nodes()[*receiver].on_dead_sender == OnDeadSender::Stop)
+    }
+
+    /// Lets the nodes that stop by themselves, because one that they wait for is gone, do so and say it.
+    fn settle(&mut self, clock: WallClock) {
+        let start = Instant::now();
+        while (0..self.members.len()).any(|node| self.about_to_stop(node)) && start.elapsed() < SETTLING {
+            self.pause(5_000_000);
+            (0..self.members.len()).for_each(|node| self.hear_out(node, clock, false));
+        }
+    }
+
+    /// Whether a node is about to stop by itself.
+    fn about_to_stop(&self, node: usize) -> bool {
+        let plan = &self.graph.nodes()[node];
+        let gone = |connection: &usize| {
+            let connection = &self.graph.connections()[*connection];
+            let sender = &self.members[connection.from];
+            connection.blocking && sender.state == State::Over && sender.exit != Some(Exit::Clean)
+        };
+        self.members[node].state == State::Up
+            && plan.on_dead_sender == OnDeadSender::Stop
+            && plan.inputs.iter().any(gone)
+    }
+
+    /// Stops all nodes and waits until each has said how it fared.
+    pub(super) fn stop(&mut self, clock: WallClock) {
+        self.settle(clock);
+        self.order_all(&Order::Stop);
+        for member in &mut self.members {
+            // Nobody is started again now.
+            if matches!(member.state, State::Down(_) | State::Coming(_)) {
+                member.state = State::Over;
+                member.worker.hang_up();
+            }
+        }
+        let start = Instant::now();
+        while self
+            .members
+            .iter()
+            .any(|member| member.state == State::Up && start.elapsed() < self.allowed(member))
+        {
+            self.pause(TICK);
+            (0..self.members.len()).for_each(|node| self.hear_out(node, clock, true));
+        }
+    }
+
+    /// How long a node may take to stop. One that hangs already has had its time.
+    fn allowed(&self, member: &Member) -> Duration {
+        match member.silent {
+            Some(_) => self.patience.min(Duration::from_nanos(member.settings.heartbeat.max(0) as u64)),
+            None => self.patience,
+        }
+    }
+
+    /// Takes in what a node says of its end.
+    fn hear_out(&mut self, node: usize, clock: WallClock, over: bool) {
+        if self.members[node].state != State::Up {
+            return;
+        }
+        if let Some((exit, problem, _)) = self.end_of(node) {
+            if let Some(problem) = problem {
+                self.note(clock, node, EventKind::StopFailed { problem });
+            }
+            if exit != Exit::Clean && !over {
+                self.mourn(node, &exit, clock);
+            }
+            self.members[node].state = State::Over;
+            self.members[node].exit = Some(exit);
+        }
+    }
+
+    pub(super) fn note(&mut self, clock: WallClock, node: usize, kind: EventKind) {
+        let name = &self.graph.nodes()[node].name;
+        self.journal.note(clock.now(), name, kind);
+    }
+
+    /// Lets all nodes end; gives their reports.
+    pub(super) fn dismiss(mut self, clock: WallClock) -> (Vec<NodeReport>, Journal) {
+        // All lines are closed before the first wait: nodes end side by side.
+        self.members.iter_mut().for_each(|member| member.worker.hang_up());
+        let start = Instant::now();
+        for node in 0..self.members.len() {
+            let patience = self.allowed(&self.members[node]).saturating_sub(start.elapsed());
+            let member = &mut self.members[node];
+            let in_time = member.worker.join(patience);
+            if member.exit.is_none() || member.state == State::Up {
+                let status = if in_time { "ended without a report" } else { "did not stop and was killed" };
+                let silent = member.silent.map(|since| clock.epoch() + clock.now() - since);
+                member.exit = Some(match silent {
+                    Some(silent) => Exit::Hung { silent },
+                    None => Exit::Died { pid: member.worker.pid(), status: status.into() },
+                });
+                if !in_time {
+                    member.worker.kill();
+                }
+                // Nobody has called its stop.
+                self.stop_hardware(node, clock);
+            }
+        }
+        for (node, mut worker) in std::mem::take(&mut self.stopping) {
+            worker.join(self.patience);
+            let kind = match worker.death() {
+                Some(Exit::Died { status, .. }) if status == "exit status 0" => EventKind::StoppedAfterCrash,
+                Some(exit) => EventKind::StopFailed { problem: format!("a fresh process of it {exit}") },
+                None => EventKind::StopFailed { problem: "a fresh process of it did not end in time".into() },
+            };
+            self.note(clock, node, kind);
+        }
+        let reports = account::reports(self.graph, &self.members);
+        (reports, std::mem::take(&mut self.journal))
+    }
+}

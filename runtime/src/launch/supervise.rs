@@ -1,0 +1,306 @@
+//! What the launcher does about a node that ends, hangs, is late, or comes back.
+
+use std::time::{Duration, Instant};
+
+use super::control::{Answer, Order};
+use super::crew::{Crew, Member, State};
+use super::event::EventKind;
+use super::plan;
+use super::report::{End, Exit};
+use super::settings::{OnDeadline, OnHang, OnNonFinite, Restart};
+use super::vitals::Vital;
+use crate::clock::{WallClock, monotonic};
+use crate::recording::{Fault, FaultKind};
+use crate::time::Nanos;
+
+/// Between two events of one kind about one node, when they come without end.
+const BETWEEN: Duration = Duration::from_secs(1);
+
+impl Crew<'_> {
+    /// Looks after one node; gives the end of the run when it cannot go on.
+    pub(super) fn look(&mut self, node: usize, clock: WallClock) -> Option<End> {
+        match self.members[node].state {
+            State::Up => match self.end_of(node) {
+                Some((exit, problem, ends_run)) => {
+                    if let Some(problem) = problem {
+                        self.note(clock, node, EventKind::StopFailed { problem });
+                    }
+                    self.ended(node, exit, ends_run, clock)
+                }
+                None => self.signs(node, clock),
+            },
+            State::Down(at) if Instant::now() >= at => self.start_again(node, clock),
+            State::Coming(since) => self.comes(node, since, clock),
+            State::Down(_) | State::Over => None,
+        }
+    }
+
+    /// How a node ended, if it has: what it says, or else what the system says; what went wrong at its end; and whether
+    /// the run is to end with it.
+    pub(super) fn end_of(&mut self, node: usize) -> Option<(Exit, Option<String>, bool)> {
+        let Member { worker, condemned, .. } = &mut self.members[node];
+        for answer in worker.answers() {
+            match answer {
+                Answer::Done { exit, problem, ends_run } => return Some((exit, problem, ends_run)),
+                Answer::Failed { reason } => return Some((Exit::Failed { reason }, None, false)),
+                _ => {}
+            }
+        }
+        if worker.line.closed() {
+            worker.join(Duration::from_millis(500));
+        }
+        let exit = worker.death()?;
+        Some((condemned.take().map_or(exit, |silent| Exit::Hung { silent }), None, false))
+    }
+
+    /// A node has ended while the run goes on.
+    fn ended(&mut self, node: usize, exit: Exit, ends_run: bool, clock: WallClock) -> Option<End> {
+        let member = &mut self.members[node];
+        member.exit = Some(exit.clone());
+        member.silent = None;
+        if exit == Exit::Clean {
+            // Its time is over, and the launcher will see in a moment that so is the run's.
+            member.state = State::Over;
+            return None;
+        }
+        let run_ends = || End::Node { node: self.graph.nodes()[node].name.clone() };
+        let end = run_ends();
+        self.note(clock, node, EventKind::Ended { exit: exit.clone() });
+        if !ends_run && let Some(delay) = self.next_restart(node, &exit, clock) {
+            let attempt = self.members[node].restarts + 1;
+            self.members[node].state = State::Down(Instant::now() + Duration::from_nanos(delay as u64));
+            self.note(clock, node, EventKind::Restarting { attempt, delay });
+            self.record_end(node, &exit, clock);
+            self.tell_gone(node, true);
+            return None;
+        }
+        self.members[node].state = State::Over;
+        self.mourn(node, &exit, clock);
+        if matches!(exit, Exit::Died { .. } | Exit::Hung { .. }) {
+            self.stop_hardware(node, clock);
+        }
+        (ends_run || self.needed(node)).then_some(end)
+    }
+
+    /// In how long a node that ended is started again, if it is.
+    fn next_restart(&mut self, node: usize, exit: &Exit, clock: WallClock) -> Option<Nanos> {
+        let Member { settings, restarts, in_a_row, up, .. } = &mut self.members[node];
+        let wanted = match settings.restart {
+            Restart::Never => false,
+            // A node that stopped because another is gone for good would only stop again.
+            _ if matches!(exit, Exit::DeadSender { .. }) => false,
+            Restart::Always => true,
+            Restart::OnFailure => !matches!(exit, Exit::Died { status, .. } if status == "exit status 0"),
+        };
+        if !wanted {
+            return None;
+        }
+        if *restarts >= u64::from(settings.restart_limit) {
+            let restarts = *restarts;
+            self.note(clock, node, EventKind::GivenUp { restarts });
+            return None;
+        }
+        if up.elapsed().as_nanos() as Nanos > settings.restart_delay_max {
+            *in_a_row = 0;
+        }
+        let factor = 1i64.checked_shl(*in_a_row).unwrap_or(Nanos::MAX).max(1);
+        *in_a_row += 1;
+        Some(settings.restart_delay.saturating_mul(factor).min(settings.restart_delay_max))
+    }
+
+    fn start_again(&mut self, node: usize, clock: WallClock) -> Option<End> {
+        self.members[node].restarts += 1;
+        // Its ports are the dead one's until somebody removes that.
+        self.endpoint.remove_dead();
+        match (self.hire)(node, false) {
+            Ok(worker) => {
+                let member = &mut self.members[node];
+                member.worker = worker;
+                member.state = State::Coming(Instant::now());
+                None
+            }
+            Err(error) => self.ended(node, Exit::Failed { reason: error.to_string() }, false, clock),
+        }
+    }
+
+    /// A node that was started again comes up, step by step.
+    fn comes(&mut self, node: usize, since: Instant, clock: WallClock) -> Option<End> {
+        let mut failed = None;
+        for answer in self.members[node].worker.answers() {
+            match answer {
+                // What it was refused is what it was refused at first.
+                Answer::Opened { .. } => self.members[node].worker.order(&Order::Connect),
+                Answer::Connected { .. } => {
+                    self.members[node].worker.order(&Order::Start { epoch: clock.epoch(), resume: true });
+                    self.tell_absences(node);
+                }
+                Answer::Resumed { step, shift } => {
+                    let member = &mut self.members[node];
+                    member.state = State::Up;
+                    member.up = Instant::now();
+                    self.note(clock, node, EventKind::Restarted { step });
+                    self.record(node, FaultKind::Restarted { step, shift }, clock);
+                    // What it says next is for another look.
+                    return None;
+                }
+                Answer::Failed { reason } => failed = Some(Exit::Failed { reason }),
+                Answer::Done { exit, .. } => failed = Some(exit),
+            }
+        }
+        let worker = &mut self.members[node].worker;
+        if failed.is_none() && worker.line.closed() {
+            worker.join(Duration::from_millis(100));
+        }
+        let failed = failed.or_else(|| worker.death()).or_else(|| {
+            (since.elapsed() > self.patience).then(|| {
+                self.members[node].worker.kill();
+                Exit::Failed { reason: "it did not come up in time".into() }
+            })
+        });
+        failed.and_then(|exit| self.ended(node, exit, false, clock))
+    }
+
+    /// What a running node's signs of life say.
+    fn signs(&mut self, node: usize, clock: WallClock) -> Option<End> {
+        self.tell_counts(node, clock);
+        let now = monotonic();
+        let Member { settings, vitals, silent, hangs, condemned, told, worker, .. } = &mut self.members[node];
+        let (beat, stepping) = (vitals.get(Vital::Beat) as Nanos, vitals.get(Vital::Stepping) as Nanos);
+        let step = vitals.get(Vital::Next);
+        if condemned.is_some() || beat == 0 {
+            return None;
+        }
+        if now - beat > settings.heartbeat {
+            if silent.is_some() {
+                return None;
+            }
+            *silent = Some(beat);
+            *hangs += 1;
+            let reaction = settings.on_hang;
+            if reaction != OnHang::Warn {
+                *condemned = Some(now - beat);
+                worker.kill();
+            }
+            let ends_run = reaction == OnHang::Stop;
+            let kind = EventKind::Hangs { silent: now - beat, step: (stepping > 0).then_some(step) };
+            self.note(clock, node, kind);
+            self.tell_gone(node, true);
+            if ends_run {
+                return self.ended(node, Exit::Hung { silent: now - beat }, true, clock);
+            }
+            return None;
+        }
+        if let Some(since) = silent.take() {
+            self.note(clock, node, EventKind::Returns { silent: beat - since });
+            return None;
+        }
+        let deadline = settings.deadline?;
+        if stepping > 0 && now - stepping > deadline && told.overdue != step + 1 {
+            told.overdue = step + 1;
+            match settings.on_deadline {
+                OnDeadline::Count => {}
+                OnDeadline::Warn => self.note(clock, node, EventKind::Overdue { step }),
+                OnDeadline::Safe => {
+                    self.note(clock, node, EventKind::Overdue { step });
+                    self.tell_gone(node, true);
+                }
+                OnDeadline::Stop => {
+                    self.members[node].worker.kill();
+                    let took = (now - stepping) as f64 / 1e6;
+                    let reason = format!(
+                        "step {step} had taken {took:.3} ms, beyond its deadline, and was still running"
+                    );
+                    return self.ended(node, Exit::Failed { reason }, true, clock);
+                }
+            }
+        }
+        None
+    }
+
+    /// Tells of late steps and of outputs that are no numbers, not too often.
+    pub(super) fn tell_counts(&mut self, node: usize, clock: WallClock) {
+        let Member { settings, vitals, told, .. } = &mut self.members[node];
+        let ready = |at: Option<Instant>| at.is_none_or(|at| at.elapsed() > BETWEEN);
+        let late = vitals.get(Vital::Late);
+        let (mut events, listed) = (Vec::new(), settings.on_deadline != OnDeadline::Count);
+        if late > told.late && listed && ready(told.late_at) {
+            let late_by = vitals.get(Vital::LateBy) as Nanos;
+            events.push(EventKind::Late { count: late - told.late, late_by });
+            told.late = late;
+            told.late_at = Some(Instant::now());
+        }
+        let non_finite = vitals.get(Vital::NonFinite);
+        if non_finite > told.non_finite
+            && settings.on_non_finite != OnNonFinite::Fail
+            && ready(told.non_finite_at)
+        {
+            let leaf = vitals.get(Vital::NonFiniteLeaf) as usize;
+            let leaf = self.graph.nodes()[node].kind.output().leaves.get(leaf).cloned().unwrap_or_default();
+            let (count, step) = (non_finite - told.non_finite, vitals.get(Vital::NonFiniteStep));
+            events.push(EventKind::NonFinite { count, step, leaf });
+            told.non_finite = non_finite;
+            told.non_finite_at = Some(Instant::now());
+        }
+        events.into_iter().for_each(|kind| self.note(clock, node, kind));
+    }
+
+    /// Tells the recording and the receivers that a node is gone for good.
+    pub(super) fn mourn(&mut self, node: usize, exit: &Exit, clock: WallClock) {
+        self.record_end(node, exit, clock);
+        self.tell_gone(node, false);
+    }
+
+    /// Tells the receivers of a node that it is gone or hangs.
+    fn tell_gone(&mut self, node: usize, back: bool) {
+        let name = self.graph.nodes()[node].name.clone();
+        let next = self.members[node].vitals.get(Vital::Next);
+        for receiver in plan::receivers(self.graph, node) {
+            self.members[receiver].worker.order(&Order::SenderGone { node: name.clone(), next, back });
+        }
+    }
+
+    /// Tells a node that has come back which of its senders are away.
+    fn tell_absences(&mut self, node: usize) {
+        for &connection in &self.graph.nodes()[node].inputs {
+            let from = self.graph.connections()[connection].from;
+            let sender = &self.members[from];
+            if sender.state == State::Up && sender.silent.is_none() {
+                continue;
+            }
+            let (name, next) = (self.graph.nodes()[from].name.clone(), sender.vitals.get(Vital::Next));
+            let back = sender.state != State::Over;
+            self.members[node].worker.order(&Order::SenderGone { node: name, next, back });
+        }
+    }
+
+    fn record_end(&self, node: usize, exit: &Exit, clock: WallClock) {
+        let kind = match exit {
+            Exit::Clean => return,
+            Exit::Failed { reason } => FaultKind::Failed { message: reason.clone() },
+            Exit::DeadSender { sender } => FaultKind::DeadSender { sender: sender.clone() },
+            Exit::Died { .. } | Exit::Hung { .. } => FaultKind::Died { message: exit.to_string() },
+        };
+        self.record(node, kind, clock);
+    }
+
+    fn record(&self, node: usize, kind: FaultKind, clock: WallClock) {
+        if let Some(recorder) = &self.recorder {
+            let node = self.graph.nodes()[node].name.clone();
+            recorder.fault(Fault { node, time: clock.now().max(0), kind });
+        }
+    }
+
+    /// Has a fresh process stop the hardware of a node that died, if that is wanted.
+    pub(super) fn stop_hardware(&mut self, node: usize, clock: WallClock) {
+        if !self.members[node].settings.stop_after_crash {
+            return;
+        }
+        // Two processes must not hold the hardware at the same time.
+        self.members[node].worker.kill();
+        self.members[node].worker.join(self.patience);
+        match (self.hire)(node, true) {
+            Ok(worker) => self.stopping.push((node, worker)),
+            Err(error) => self.note(clock, node, EventKind::StopFailed { problem: error.to_string() }),
+        }
+    }
+}
