@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 use anyhow::anyhow;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
-use parallax_runtime::launch::{self, End, LaunchSpec, RunError, RunOptions, RunReport};
+use parallax_runtime::launch::{
+    self, End, InputReport, LaunchSpec, NodeReport, RunError, RunOptions, RunReport,
+};
 use parallax_runtime::time::{Nanos, to_seconds};
 
 use super::args::{NodeChange, Play, duration, graph_spec, make_parent};
@@ -76,6 +78,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         launch: launch_spec(arguments)?,
         spread: !arguments.no_spread,
         progress: Some(watch(&bar)),
+        events: Some(tell(&bar)),
         ..RunOptions::default()
     };
     let report = launch::run(&spec, &parallax_nodes::registry(), options).map_err(sort)?;
@@ -137,6 +140,12 @@ pub(crate) fn watch(bar: &ProgressBar) -> Box<dyn FnMut(launch::Progress) -> boo
     })
 }
 
+/// Says on standard error what happens to nodes, above the bar.
+fn tell(bar: &ProgressBar) -> launch::Watcher {
+    let bar = bar.clone();
+    Box::new(move |event| bar.suspend(|| eprintln!("{event}")))
+}
+
 /// What the graph says wrong is bad input; what goes wrong on this machine is not.
 pub(crate) fn sort(error: RunError) -> Failure {
     match error {
@@ -196,4 +205,57 @@ fn print(report: &RunReport) {
         &["node", "core", "steps", "overruns", "late", "99 %", "computation", "99 %", "lost", "end"],
         &rows,
     );
+    print_messages(report);
+    report.nodes.iter().flat_map(notes).for_each(output::line);
+}
+
+/// What became of every message.
+fn print_messages(report: &RunReport) {
+    let row = |(node, input): (&NodeReport, &InputReport)| {
+        let lost = input.lost.iter().map(|(reason, count)| format!("{count} ({})", reason.name()));
+        let lost: Vec<String> = lost.collect();
+        vec![
+            format!("{} -> {}", input.from, node.node),
+            input.sent.to_string(),
+            input.consumed.to_string(),
+            input.superseded.to_string(),
+            input.in_flight.to_string(),
+            if lost.is_empty() { "0".into() } else { lost.join(", ") },
+        ]
+    };
+    let inputs = report.nodes.iter().flat_map(|node| node.inputs.iter().map(move |input| (node, input)));
+    let rows: Vec<Vec<String>> = inputs.map(row).collect();
+    if !rows.is_empty() {
+        output::table(&["messages", "sent", "consumed", "superseded", "in flight", "lost"], &rows);
+    }
+}
+
+/// What happened to a node that the table does not tell.
+fn notes(node: &NodeReport) -> Vec<String> {
+    let mut notes = Vec::new();
+    let mut note = |happened: bool, text: String| {
+        if happened {
+            notes.push(format!("{}: {text}", node.node));
+        }
+    };
+    note(node.restarts > 0, format!("started again {} times", node.restarts));
+    note(node.hangs > 0, format!("gave no sign of life {} times", node.hangs));
+    note(
+        node.late > 0,
+        format!("missed {} deadlines, the worst by {}", node.late, output::seconds(to_seconds(node.late_by))),
+    );
+    if let Some(first) = &node.non_finite {
+        let (count, step, leaf) = (first.count, first.step, &first.leaf);
+        note(true, format!("{count} outputs that are no numbers, the first in step {step} at leaf {leaf}"));
+    }
+    note(node.replaced > 0, format!("sent its safe output {} times in place of others", node.replaced));
+    for input in &node.inputs {
+        note(
+            input.not_sent > 0,
+            format!("{} messages of {} were never sent: it was down", input.not_sent, input.from),
+        );
+        note(input.safe > 0, format!("saw the safe output of {} {} times", input.from, input.safe));
+    }
+    note(node.made_safe.is_some(), "ended on the safe outputs of its senders".into());
+    notes
 }

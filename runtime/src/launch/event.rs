@@ -10,6 +10,9 @@ use crate::time::{Nanos, to_seconds};
 /// Events that a report lists at most.
 const LISTED: usize = 1000;
 
+/// Takes events as they happen.
+pub type Watcher = Box<dyn FnMut(&Event)>;
+
 /// Something that happened to a node.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Event {
@@ -125,7 +128,7 @@ impl fmt::Display for Event {
 /// The events of a run, told as they happen and kept for the report.
 #[derive(Default)]
 pub(super) struct Journal {
-    pub(super) tell: Option<Box<dyn FnMut(&Event)>>,
+    pub(super) tell: Option<Watcher>,
     pub(super) events: Vec<Event>,
     pub(super) omitted: u64,
 }

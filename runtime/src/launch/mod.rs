@@ -50,7 +50,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 pub use error::RunError;
-pub use event::{Event, EventKind};
+pub use event::{Event, EventKind, Watcher};
 pub use launcher::run;
 pub use report::{End, Exit, InputReport, NodeReport, NonFinite, Percentiles, RunReport};
 pub use settings::{
@@ -114,7 +114,7 @@ pub struct RunOptions {
     /// Called about twenty times a second while the run goes on; `false` stops the run.
     pub progress: Option<Box<dyn FnMut(Progress) -> bool>>,
     /// Called when something happens to a node. The [report](RunReport::events) has it, too.
-    pub events: Option<Box<dyn FnMut(&Event)>>,
+    pub events: Option<Watcher>,
 }
 
 impl Default for RunOptions {

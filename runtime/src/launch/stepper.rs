@@ -215,9 +215,15 @@ impl Stepper {
     ///
     /// The numbers of its steps go on, too. Where the grid is kept, the steps that were due meanwhile are never made, and
     /// receivers count their messages as not sent; where the frequency is kept, all later ticks are shifted.
-    pub(super) fn resume(&mut self, graph: &Graph, index: usize, clock: WallClock) -> (u64, Nanos) {
+    pub(super) fn resume(
+        &mut self,
+        graph: &Graph,
+        index: usize,
+        clock: WallClock,
+    ) -> Result<(u64, Nanos), ChannelError> {
         let next = self.vitals.get(Vital::Next);
-        let soon = clock.now() + LEAD;
+        let now = clock.now();
+        let soon = now + LEAD;
         let (step, shift) = match self.scheduling {
             Scheduling::Phase => (next.max(self.grid.count_until(soon)), 0),
             Scheduling::Frequency => (next, soon.saturating_sub(self.grid.time(next)).max(0)),
@@ -230,18 +236,20 @@ impl Stepper {
             records.sent = self.vitals.get(Vital::Records);
         }
         let mut known = Vec::new();
-        for (index, input) in self.inputs.iter_mut().enumerate() {
-            known.push(self.vitals.input(index, InputVital::Known));
+        for index in 0..self.inputs.len() {
+            let (next, waiting) =
+                (self.vitals.input(index, InputVital::Known), self.vitals.input(index, InputVital::Waiting));
+            known.push(next);
+            let input = &mut self.inputs[index];
             input.consumed_before = self.vitals.input(index, InputVital::Consumed);
             input.superseded_before = self.vitals.input(index, InputVital::Superseded);
             input.resumed = true;
             // What had arrived, and what the unfinished step saw, died with the earlier process.
-            let waiting = self.vitals.input(index, InputVital::Waiting);
-            self.vitals.add_lost(index, LossReason::ReceiverDown, waiting);
+            self.lose(index, next.saturating_sub(waiting)..next, now, LossReason::ReceiverDown)?;
             self.vitals.set_input(index, InputVital::Waiting, 0);
         }
         self.inbox = Inbox::resumed(graph, index, &Resumption { step, shift, known });
-        (step, shift)
+        Ok((step, shift))
     }
 
     /// Runs the node until its time is over, somebody stops it, or it cannot go on.
@@ -361,7 +369,8 @@ impl Stepper {
                 let [seq, sent] = head;
                 if length != expected || !self.plausible(index, seq, received) {
                     // Garbage of one node must not end another.
-                    self.lose(index, seq..seq.saturating_add(1), received, LossReason::Malformed)?;
+                    let first = seq.min(u64::MAX - 1);
+                    self.lose(index, first..first + 1, received, LossReason::Malformed)?;
                     continue;
                 }
                 let arrival =

@@ -302,7 +302,7 @@ fn work(
             Some(Some(Order::Start { epoch, resume })) => {
                 let clock = WallClock::with_epoch(epoch);
                 if resume {
-                    let (step, shift) = stepper.resume(graph, index, clock);
+                    let (step, shift) = stepper.resume(graph, index, clock).map_err(|e| e.to_string())?;
                     answers.send(&Answer::Resumed { step, shift });
                 }
                 break clock;

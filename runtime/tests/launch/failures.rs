@@ -171,7 +171,7 @@ fn launch(recording: &Path) -> Child {
     child
 }
 
-fn signal(pid: u32, signal: i32) {
+pub(crate) fn signal(pid: u32, signal: i32) {
     // SAFETY: the call takes integers; the process is a child of ours that has not been waited for.
     assert_eq!(unsafe { libc::kill(pid as i32, signal) }, 0);
 }
@@ -182,7 +182,7 @@ fn children(pid: u32) -> Vec<u32> {
     text.split_whitespace().map(|pid| pid.parse().unwrap()).collect()
 }
 
-fn remains(pid: u32) -> Vec<String> {
+pub(crate) fn remains(pid: u32) -> Vec<String> {
     let folder = std::fs::read_dir("/dev/shm").unwrap().flatten().map(|entry| entry.path());
     let runs = folder.flat_map(|path| match path.is_dir() {
         true => std::fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path()).collect(),
@@ -236,7 +236,7 @@ fn nodes_die_with_their_launcher() {
 }
 
 /// Whether a process runs: one that has ended and that nobody has waited for does not.
-fn alive(pid: u32) -> bool {
+pub(crate) fn alive(pid: u32) -> bool {
     std::fs::read_to_string(format!("/proc/{pid}/stat")).is_ok_and(|stat| !stat.contains(") Z "))
 }
 

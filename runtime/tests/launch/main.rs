@@ -8,8 +8,10 @@ mod allocation;
 #[cfg(feature = "conformance")]
 mod conformance;
 mod failures;
+mod faults;
 mod nodes;
 mod runs;
+mod safety;
 mod settings;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -31,8 +33,13 @@ fn main() -> ExitCode {
     if first.as_deref() == Some(failures::LAUNCHER_COMMAND) {
         return failures::launcher(arguments);
     }
+    if first.as_deref() == Some(safety::DRIVING_COMMAND) {
+        return safety::drive(arguments);
+    }
     let filter = first.filter(|argument| !argument.starts_with('-')).unwrap_or_default();
-    let mut tests: Vec<Test> = [runs::TESTS, settings::TESTS, failures::TESTS, allocation::TESTS].concat();
+    let mut tests: Vec<Test> =
+        [runs::TESTS, settings::TESTS, failures::TESTS, faults::TESTS, safety::TESTS, allocation::TESTS]
+            .concat();
     #[cfg(feature = "conformance")]
     tests.extend(conformance::TESTS);
     let chosen: Vec<&Test> = tests.iter().filter(|(name, _)| name.contains(&filter)).collect();

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use parallax_model::tree::Tree;
 use parallax_runtime::graph::{ConnectionSpec, GraphSpec, NodeSpec};
-use parallax_runtime::node::{Message, Node, NodeError, Port, Step};
+use parallax_runtime::node::{Layout, Message, Node, NodeError, Port, Step, Stopping};
 use parallax_runtime::registry::{NodeKind, Registry};
 
 /// One number.
@@ -29,40 +29,102 @@ struct Counter {
 struct Trouble {
     /// Step at which something happens; none by default.
     at: Option<u64>,
-    /// What happens: "kill", "exit", "panic", "error", "hang".
+    /// Whether it happens at every step from then on.
+    lasting: bool,
+    /// A file that says that it has happened already, and that it is not to happen again.
+    once: Option<std::path::PathBuf>,
+    /// What happens: "kill", "exit", "leave", "panic", "error", "hang", "slow", "nan".
     what: String,
+}
+
+impl Trouble {
+    /// What happens at this step; gives a value to send in place of the usual one.
+    fn strike(&self, step: u64) -> Result<Option<f64>, NodeError> {
+        let strikes = self.at.is_some_and(|at| at == step || (self.lasting && step > at));
+        if !strikes {
+            return Ok(None);
+        }
+        if let Some(once) = &self.once {
+            if once.exists() {
+                return Ok(None);
+            }
+            std::fs::write(once, "").unwrap();
+        }
+        match &*self.what {
+            // SAFETY: the call takes an integer and ends this process, which is what the test wants.
+            "kill" => unsafe {
+                libc::raise(libc::SIGKILL);
+            },
+            "exit" => std::process::exit(3),
+            "leave" => std::process::exit(0),
+            "panic" => panic!("the test wants it"),
+            "error" => return Err(NodeError::failed("the motor is on fire")),
+            "hang" => std::thread::sleep(std::time::Duration::from_secs(3600)),
+            "slow" => std::thread::sleep(std::time::Duration::from_millis(60)),
+            "nan" => return Ok(Some(f64::NAN)),
+            other => panic!("unknown trouble {other}"),
+        }
+        Ok(None)
+    }
 }
 
 impl Node for Counter {
     type Output = Number<f64>;
 
     fn step(&mut self, step: &Step<'_>) -> Result<Number<f64>, NodeError> {
-        if self.trouble.at == Some(step.seq) {
-            match &*self.trouble.what {
-                // SAFETY: the call takes an integer and ends this process, which is what the test wants.
-                "kill" => unsafe {
-                    libc::raise(libc::SIGKILL);
-                },
-                "exit" => std::process::exit(3),
-                "panic" => panic!("the test wants it"),
-                "error" => return Err(NodeError::failed("the motor is on fire")),
-                "hang" => std::thread::sleep(std::time::Duration::from_secs(3600)),
-                other => panic!("unknown trouble {other}"),
-            }
-        }
-        Ok(Number { value: step.seq as f64 })
+        let value = self.trouble.strike(step.seq)?;
+        Ok(Number { value: value.unwrap_or(step.seq as f64) })
     }
 }
 
 /// Sends the newest number of its source plus one; -1 before any has come.
-struct Adder;
+struct Adder {
+    trouble: Trouble,
+}
 
 impl Node for Adder {
     type Output = Number<f64>;
 
     fn step(&mut self, step: &Step<'_>) -> Result<Number<f64>, NodeError> {
+        self.trouble.strike(step.seq)?;
         let latest = step.latest(SOURCE);
         Ok(Number { value: if latest.seq.is_some() { latest.message.value + 1.0 } else { -1.0 } })
+    }
+}
+
+/// Writes into a file what it would tell its motor: a driver, as far as these tests are concerned.
+struct Driver {
+    log: std::fs::File,
+    trouble: Trouble,
+}
+
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Driven {
+    log: std::path::PathBuf,
+    #[serde(default)]
+    trouble: Trouble,
+}
+
+impl Driver {
+    fn tell(&mut self, what: &str) {
+        use std::io::Write;
+        writeln!(self.log, "{what}").unwrap();
+    }
+}
+
+impl Node for Driver {
+    type Output = Number<f64>;
+
+    fn step(&mut self, step: &Step<'_>) -> Result<Number<f64>, NodeError> {
+        self.trouble.strike(step.seq)?;
+        let value = step.latest(SOURCE).message.value;
+        self.tell(&format!("drive {value}"));
+        Ok(Number { value })
+    }
+
+    fn stop(&mut self, why: Stopping) {
+        self.tell(&format!("stop {why:?}"));
     }
 }
 
@@ -146,13 +208,29 @@ pub(crate) fn registry() -> Registry {
     known
         .with("counter", NodeKind::new(|context| Ok(Counter { trouble: context.parameters()? })))
         .with("place", NodeKind::new(|_| Ok(Where)))
-        .with("adder", NodeKind::new(|_| Ok(Adder)).input(SOURCE))
+        .with("adder", NodeKind::new(|context| Ok(Adder { trouble: context.parameters()? })).input(SOURCE))
+        .with(
+            "driver",
+            NodeKind::new(|context| {
+                let Driven { log, trouble } = context.parameters()?;
+                let log = std::fs::OpenOptions::new().append(true).create(true).open(log);
+                let log = log.map_err(|error| NodeError::failed(error.to_string()))?;
+                Ok(Driver { log, trouble })
+            })
+            .input(SOURCE),
+        )
         .with(
             "secret",
             NodeKind::new(|_| {
                 let value = std::env::var(SECRET).ok().and_then(|text| text.parse().ok());
                 Ok(Secret(value.ok_or_else(|| NodeError::failed("no secret was passed"))?))
             }),
+        )
+        .with("wide", NodeKind::erased(wide(), vec![0.0; 8192], |_| Err(NodeError::failed("never built"))))
+        .with(
+            "wide_sink",
+            NodeKind::erased(wide(), vec![0.0; 8192], |_| Err(NodeError::failed("never built")))
+                .input_with_layout("source", wide()),
         )
         .with("allocations", NodeKind::new(|_| Ok(crate::allocation::Counted)).input(SOURCE))
         .with(
@@ -161,6 +239,11 @@ pub(crate) fn registry() -> Registry {
                 Err(NodeError::failed("the camera is not plugged in"))
             }),
         )
+}
+
+/// A message of 64 KiB.
+fn wide() -> Layout {
+    Layout { name: "test/Wide".into(), leaves: (0..8192).map(|leaf| format!("leaf{leaf}")).collect() }
 }
 
 /// A counter at 200 Hz, and an adder at 100 Hz that waits for it.
@@ -184,6 +267,19 @@ pub(crate) fn troubled(what: &str, at: u64) -> GraphSpec {
     let parameters = &mut graph.node_mut("counter").unwrap().parameters;
     parameters.insert("what".into(), what.into());
     parameters.insert("at".into(), at.into());
+    graph
+}
+
+/// A counter at 200 Hz that commands a driver at 100 Hz, which goes on without it and writes to this file.
+pub(crate) fn driving(log: &std::path::Path) -> GraphSpec {
+    let mut graph = graph();
+    graph.supervisor = "driver".into();
+    graph.nodes[1] = NodeSpec::new("driver", "driver", 100.0);
+    graph.nodes[1].parameters.insert("log".into(), log.to_str().unwrap().into());
+    graph.nodes[1].on_dead_sender = parallax_runtime::graph::OnDeadSender::Continue;
+    graph.connections[0].to = "driver".into();
+    graph.connections[0].blocking = false;
+    graph.connections[0].window = 1;
     graph
 }
 

@@ -1,0 +1,187 @@
+//! What drivers do at the end, whatever ends: a node, the run, the launcher.
+
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitCode, Stdio};
+use std::time::{Duration, Instant};
+
+use parallax_runtime::graph::{GraphSpec, SafeValue};
+use parallax_runtime::launch::{EventKind, Exit, RunOptions, run};
+
+use crate::Test;
+use crate::failures::{alive, remains, signal};
+use crate::faults::{node_process, observe};
+use crate::nodes::{driving, registry};
+use crate::settings::launch;
+
+pub(crate) const TESTS: &[Test] = &[
+    ("a_driver_ends_on_safe_commands", a_driver_ends_on_safe_commands),
+    ("a_killed_sender_leaves_safe_commands", a_killed_sender_leaves_safe_commands),
+    ("a_sender_that_hangs_leaves_safe_commands", a_sender_that_hangs_leaves_safe_commands),
+    ("a_driver_that_fails_or_panics_stops", a_driver_that_fails_or_panics_stops),
+    ("a_killed_driver_is_stopped_by_a_fresh_process", a_killed_driver_is_stopped_by_a_fresh_process),
+    ("without_a_launcher_everything_ends_safely", without_a_launcher_everything_ends_safely),
+];
+
+const SAFE: f64 = -42.0;
+
+/// A counter whose safe output is [`SAFE`] commands a driver; something happens to the counter, or to the driver.
+fn graph(log: &Path, node: &str, what: &str, at: u64) -> GraphSpec {
+    let mut graph = driving(log);
+    graph.nodes[0].safe = Some([("value".to_owned(), SafeValue::Number(SAFE))].into());
+    let trouble = serde_json::json!({ "what": what, "at": at });
+    let parameters = &mut graph.node_mut(node).unwrap().parameters;
+    match (what, node) {
+        ("", _) => {}
+        (_, "driver") => {
+            parameters.insert("trouble".into(), trouble);
+        }
+        _ => parameters.extend(trouble.as_object().unwrap().clone()),
+    }
+    graph
+}
+
+/// What a driver wrote.
+fn read(log: &Path) -> Vec<String> {
+    std::fs::read_to_string(log).unwrap().lines().map(str::to_owned).collect()
+}
+
+fn logged() -> (tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("log");
+    (folder, log)
+}
+
+/// The last two lines: the safe command, and why the driver stopped.
+#[track_caller]
+fn ends(lines: &[String], why: &str) {
+    let [.., drive, stop] = lines else { panic!("{lines:?}") };
+    assert_eq!((drive.as_str(), stop.as_str()), ("drive -42", format!("stop {why}").as_str()), "{lines:?}");
+}
+
+fn a_driver_ends_on_safe_commands() {
+    let (_folder, log) = logged();
+    let (report, recording) = observe(&graph(&log, "counter", "", 0), 0.3, "");
+    let lines = read(&log);
+    ends(&lines, "Over");
+    assert_eq!(lines.iter().filter(|line| *line == "drive -42").count(), 1, "not before the end: {lines:?}");
+    // One command more than the schedule has steps.
+    assert_eq!(lines.len() as u64, report.nodes[1].steps + 2);
+    assert!(report.nodes[1].made_safe.is_some() && report.nodes[0].made_safe.is_none(), "{report:#?}");
+    assert!(recording.nodes[1].messages.iter().all(|message| message.payload != [SAFE]));
+}
+
+fn a_killed_sender_leaves_safe_commands() {
+    let (_folder, log) = logged();
+    let (report, recording) = observe(&graph(&log, "counter", "kill", 20), 0.5, "");
+    // The driver goes on at its rate, on the safe command, until the end.
+    let lines = read(&log);
+    ends(&lines, "Over");
+    let first = lines.iter().position(|line| line == "drive -42").unwrap();
+    assert!(first < 25 && lines[first..lines.len() - 1].iter().all(|line| line == "drive -42"), "{lines:?}");
+    assert_eq!(report.nodes[1].inputs[0].safe, 1, "{report:#?}");
+    // The recording says what the driver saw: a safe output is no message, and no initial one either.
+    let step = recording.nodes[1].steps.last().unwrap();
+    assert!(step.inputs[0].consumed[0].is_safe_output(), "{step:?}");
+    let graph = recording.graph.validate(&registry()).unwrap();
+    let check = parallax_runtime::schedule::verify(&recording, &graph, 1, &recording.nodes[1].steps);
+    assert!(check.deviation.is_none(), "{:?}", check.deviation);
+
+    // When it comes back, its commands count again.
+    let (_folder, log) = logged();
+    let settings = "[node.counter]\nrestart = \"on-failure\"\nrestart_delay = 0.1\n";
+    let (report, _) = observe(&graph_back(&log), 0.6, settings);
+    let lines = read(&log);
+    let safe = lines.iter().filter(|line| *line == "drive -42").count();
+    assert!(safe > 5 && safe < lines.len() - 10, "{lines:?}");
+    assert_ne!(lines[lines.len() - 3], "drive -42", "{report:#?} {lines:?}");
+}
+
+fn graph_back(log: &Path) -> GraphSpec {
+    graph(log, "counter", "kill", 20)
+}
+
+fn a_sender_that_hangs_leaves_safe_commands() {
+    let (_folder, log) = logged();
+    let (report, _) = observe(&graph(&log, "counter", "hang", 20), 0.8, "[node.counter]\nheartbeat = 0.1\n");
+    let lines = read(&log);
+    assert!(lines.iter().filter(|line| *line == "drive -42").count() > 20, "{report:#?} {lines:?}");
+    // A deadline does the same, and sooner.
+    let (_folder, log) = logged();
+    let settings = "[node.counter]\nheartbeat = 5\ndeadline = 0.05\non_deadline = \"safe\"\n";
+    let (report, _) = observe(&graph(&log, "counter", "hang", 20), 0.8, settings);
+    let lines = read(&log);
+    assert!(lines.iter().filter(|line| *line == "drive -42").count() > 20, "{report:#?} {lines:?}");
+}
+
+fn a_driver_that_fails_or_panics_stops() {
+    for what in ["error", "panic"] {
+        let (_folder, log) = logged();
+        let (report, _) = observe(&graph(&log, "driver", what, 10), 60.0, "");
+        assert!(matches!(report.nodes[1].exit, Exit::Failed { .. }), "{report:#?}");
+        assert_eq!(read(&log).last().unwrap(), "stop Failed");
+    }
+}
+
+fn a_killed_driver_is_stopped_by_a_fresh_process() {
+    let (_folder, log) = logged();
+    let (report, _) =
+        observe(&graph(&log, "driver", "kill", 10), 60.0, "[node.driver]\nstop_after_crash = true\n");
+    let lines = read(&log);
+    assert_eq!((lines.len(), lines.last().unwrap().as_str()), (11, "stop AfterCrash"), "{lines:?}");
+    assert!(report.events.iter().any(|event| event.kind == EventKind::StoppedAfterCrash), "{report:#?}");
+    // A driver that hangs until the end cannot stop by itself either.
+    let (_folder, log) = logged();
+    let settings = "[node.driver]\nstop_after_crash = true\nheartbeat = 0.1\n";
+    observe(&graph(&log, "driver", "hang", 10), 0.4, settings);
+    assert_eq!(read(&log).last().unwrap(), "stop AfterCrash");
+}
+
+/// Under this argument this program is a launcher of a driver that runs until it is stopped: `LOG`.
+pub(crate) const DRIVING_COMMAND: &str = "__driving";
+
+pub(crate) fn drive(mut arguments: impl Iterator<Item = String>) -> ExitCode {
+    let log = PathBuf::from(arguments.next().unwrap());
+    let options = RunOptions { launch: launch("[defaults]\nheartbeat = inf\n"), ..RunOptions::default() };
+    match run(&graph(&log, "counter", "", 0), &registry(), options) {
+        Ok(_) => ExitCode::SUCCESS,
+        Err(_) => ExitCode::FAILURE,
+    }
+}
+
+/// Waits until this holds.
+#[track_caller]
+fn until(what: &str, mut holds: impl FnMut() -> bool) {
+    let start = Instant::now();
+    while !holds() {
+        assert!(start.elapsed() < Duration::from_secs(15), "{what}");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+fn driven(log: &Path) -> (Child, [u32; 2]) {
+    let launcher = Command::new("/proc/self/exe")
+        .args([DRIVING_COMMAND, log.to_str().unwrap()])
+        .stdin(Stdio::null())
+        .spawn()
+        .unwrap();
+    until("the driver drives", || log.exists() && read(log).len() > 20);
+    let nodes = ["counter", "driver"].map(|node| node_process(launcher.id(), node).unwrap());
+    (launcher, nodes)
+}
+
+fn without_a_launcher_everything_ends_safely() {
+    // Nothing in the way; a sender that somebody has stopped; a sender that is dead, too.
+    for also in [None, Some(libc::SIGSTOP), Some(libc::SIGKILL)] {
+        let (_folder, log) = logged();
+        let (mut launcher, nodes) = driven(&log);
+        assert!(!remains(launcher.id()).is_empty(), "the test must look where the run is");
+        if let Some(also) = also {
+            signal(nodes[0], also);
+        }
+        signal(launcher.id(), libc::SIGKILL);
+        launcher.wait().unwrap();
+        until("the nodes end", || !nodes.iter().any(|node| alive(*node)));
+        until("shared memory is free again", || remains(launcher.id()).is_empty());
+        ends(&read(&log), "LauncherGone");
+    }
+}
