@@ -114,7 +114,7 @@ impl fmt::Display for Event {
                 write!(f, "is beyond the deadline of step {step}, and still in it")
             }
             EventKind::Late { count, late_by } => {
-                write!(f, "missed {count} deadlines, the worst by {:.3} ms", ms(late_by))
+                write!(f, "ended {count} steps after their deadline, the worst by {:.3} ms", ms(late_by))
             }
             EventKind::NonFinite { count, step, leaf } => {
                 write!(f, "sent {count} outputs that are no numbers, the first in step {step} at leaf {leaf}")

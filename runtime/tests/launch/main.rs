@@ -13,6 +13,7 @@ mod nodes;
 mod runs;
 mod safety;
 mod settings;
+mod wall;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::process::ExitCode;
@@ -25,6 +26,7 @@ static ALLOCATOR: allocation::Counting = allocation::Counting;
 type Test = (&'static str, fn());
 
 fn main() -> ExitCode {
+    wall::obey();
     let mut arguments = std::env::args().skip(1);
     let first = arguments.next();
     if first.as_deref() == Some(NODE_COMMAND) {
@@ -36,10 +38,20 @@ fn main() -> ExitCode {
     if first.as_deref() == Some(safety::DRIVING_COMMAND) {
         return safety::drive(arguments);
     }
+    if first.as_deref() == Some(wall::COMMAND) {
+        return wall::jumping(arguments);
+    }
     let filter = first.filter(|argument| !argument.starts_with('-')).unwrap_or_default();
-    let mut tests: Vec<Test> =
-        [runs::TESTS, settings::TESTS, failures::TESTS, faults::TESTS, safety::TESTS, allocation::TESTS]
-            .concat();
+    let mut tests: Vec<Test> = [
+        runs::TESTS,
+        settings::TESTS,
+        failures::TESTS,
+        faults::TESTS,
+        safety::TESTS,
+        wall::TESTS,
+        allocation::TESTS,
+    ]
+    .concat();
     #[cfg(feature = "conformance")]
     tests.extend(conformance::TESTS);
     let chosen: Vec<&Test> = tests.iter().filter(|(name, _)| name.contains(&filter)).collect();
@@ -50,9 +62,11 @@ fn main() -> ExitCode {
     let mut failed = Vec::new();
     for (name, test) in &chosen {
         let before = nodes::shared_memory();
+        let start = std::time::Instant::now();
         let passed = catch_unwind(AssertUnwindSafe(test)).is_ok();
+        let took = start.elapsed().as_secs_f64();
         let clean = nodes::shared_memory() == before;
-        println!("test {name} ... {}", if passed && clean { "ok" } else { "FAILED" });
+        println!("test {name} ... {} ({took:.1} s)", if passed && clean { "ok" } else { "FAILED" });
         if !clean {
             println!("  left in shared memory: {:?}", nodes::shared_memory());
         }

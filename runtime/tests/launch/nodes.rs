@@ -207,6 +207,7 @@ pub(crate) fn registry() -> Registry {
     let known = Registry::new();
     known
         .with("counter", NodeKind::new(|context| Ok(Counter { trouble: context.parameters()? })))
+        .with("wall", NodeKind::new(|_| Ok(crate::wall::Wall)))
         .with("place", NodeKind::new(|_| Ok(Where)))
         .with("adder", NodeKind::new(|context| Ok(Adder { trouble: context.parameters()? })).input(SOURCE))
         .with(
