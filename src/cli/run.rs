@@ -242,7 +242,11 @@ fn notes(node: &NodeReport) -> Vec<String> {
     note(node.hangs > 0, format!("gave no sign of life {} times", node.hangs));
     note(
         node.late > 0,
-        format!("ended {} steps after their deadline, the worst by {}", node.late, output::seconds(to_seconds(node.late_by))),
+        format!(
+            "ended {} steps after their deadline, the worst by {}",
+            node.late,
+            output::seconds(to_seconds(node.late_by))
+        ),
     );
     if let Some(first) = &node.non_finite {
         let (count, step, leaf) = (first.count, first.step, &first.leaf);
