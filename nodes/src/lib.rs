@@ -2,7 +2,8 @@
 //!
 //! [`models`] holds the mathematics of robots: pure functions generic over the scalar. [`pendulum`] and [`quadrotor`]
 //! are graphs of nodes around them, [`pid`] is a controller for any graph, [`equations`] makes a node from a
-//! `system.toml`, [`playback`] commands what a file says. [`registry()`] names every kind of node and [`graph`] every graph.
+//! `system.toml`, [`playback`] commands what a file says, [`dynamixel`] drives servos,
+//! [`policy`] steps a trained network. [`registry()`] names every kind of node and [`graph`] every graph.
 //!
 //! ```
 //! use parallax_nodes::{pendulum, registry};
@@ -12,11 +13,13 @@
 //! ```
 
 pub mod command_file;
+pub mod dynamixel;
 pub mod equations;
 pub mod models;
 pub mod pendulum;
 pub mod pid;
 pub mod playback;
+pub mod policy;
 pub mod quadrotor;
 mod registry;
 

@@ -3,7 +3,7 @@
 use parallax_runtime::graph::GraphSpec;
 use parallax_runtime::registry::Registry;
 
-use crate::{pendulum, playback, quadrotor};
+use crate::{dynamixel, pendulum, playback, quadrotor};
 
 /// The kinds of node that come with Parallax, each also as one that plays a file ([`playback`]). The pendulum's world hides what the environment says
 /// ([`pendulum::hidden::SEED_VARIABLE`]).
@@ -14,7 +14,8 @@ use crate::{pendulum, playback, quadrotor};
 /// assert_eq!(graph.nodes()[graph.supervisor()].name, "agent");
 /// ```
 pub fn registry() -> Registry {
-    playback::with_playback(quadrotor::kinds(pendulum::kinds_from_environment(Registry::new())))
+    let robots = quadrotor::kinds(pendulum::kinds_from_environment(Registry::new()));
+    playback::with_playback(dynamixel::kinds(robots))
 }
 
 /// The names of the graphs that come with Parallax.

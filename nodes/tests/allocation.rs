@@ -7,6 +7,7 @@ use parallax_model::Dual;
 use parallax_model::program::Workspace;
 use parallax_model::trace::trace_model;
 use parallax_nodes::models::quadrotor::Quadrotor;
+use parallax_nodes::policy::Policy;
 use parallax_nodes::{pendulum, registry};
 use parallax_runtime::node::{Consumed, InputWindow, Step};
 use parallax_runtime::time::SECOND;
@@ -71,6 +72,16 @@ fn steps_of_the_pendulums_nodes_allocate_nothing() {
             let count = allocations(|| node.step_into(&step, &mut output).expect("a step"));
             assert_eq!(count, 0, "step {tick} of `{}`", plan.name);
         }
+    }
+}
+
+#[test]
+fn steps_of_a_policy_allocate_nothing() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/policy/policy.safetensors");
+    let mut policy =
+        Policy::<pendulum::Estimate, pendulum::Voltage>::read(path.as_ref()).expect("the fixture");
+    for leaves in [[0.1, 0.2, 0.3], [-3.0, 20.0, 1.0]] {
+        assert_eq!(allocations(|| drop(policy.act(&leaves))), 0);
     }
 }
 

@@ -61,6 +61,7 @@ fn everything_but_the_world(registry: Registry) -> Registry {
         .with("pendulum/motor", motor::kind())
         .with("pendulum/plant", plant::kind())
         .with("pendulum/pid", crate::pid::kind::<Angle, Voltage>())
+        .with("pendulum/policy", crate::policy::kind::<Estimate, Voltage>())
 }
 
 /// The graph. Its delays are those of a small camera and computer.
