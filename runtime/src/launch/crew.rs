@@ -14,10 +14,10 @@ use super::recorder::Recorder;
 use super::report::{End, Exit, NodeReport};
 use super::settings::{NodeSettings, OnDeadline};
 use super::signals::Signals;
-use super::vitals::Vitals;
+use super::vitals::{Vital, Vitals};
 use super::worker::Worker;
 use crate::channel::Endpoint;
-use crate::clock::WallClock;
+use crate::clock::{WallClock, monotonic};
 use crate::graph::{Graph, OnDeadSender};
 use crate::time::Nanos;
 
@@ -319,10 +319,14 @@ impl<'a> Crew<'a> {
         }
     }
 
-    /// How long a node may take to stop. One that hangs already has had its time.
+    /// How long a node may take to stop. One that hangs has had its time already.
     fn allowed(&self, member: &Member) -> Duration {
+        let heartbeat = member.settings.heartbeat;
+        let beat = member.vitals.get(Vital::Beat) as Nanos;
+        let hangs_in_step = member.vitals.get(Vital::Stepping) > 0 && monotonic() - beat > heartbeat;
         match member.silent {
-            Some(_) => self.patience.min(Duration::from_nanos(member.settings.heartbeat.max(0) as u64)),
+            _ if hangs_in_step => Duration::ZERO,
+            Some(_) => self.patience.min(Duration::from_nanos(heartbeat.max(0) as u64)),
             None => self.patience,
         }
     }

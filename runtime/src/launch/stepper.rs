@@ -538,6 +538,8 @@ impl Stepper {
     /// What the last step returns is not sent: the receivers make a last step of their own.
     pub(super) fn finish(&mut self, clock: WallClock, why: Stopping) -> Option<String> {
         let mut problem = None;
+        // Whatever it does from here on is no step.
+        self.vitals.set(Vital::Stepping, 0);
         if why != Stopping::Failed && self.inbox.has_safe() {
             let now = clock.now();
             let Self { node, inbox, values, .. } = self;
@@ -552,7 +554,6 @@ impl Stepper {
             }
         }
         let stopped = catch_unwind(AssertUnwindSafe(|| self.node.stop(why)));
-        self.vitals.set(Vital::Stepping, 0);
         problem.or_else(|| Some(panicked(&*stopped.err()?)))
     }
 

@@ -16,6 +16,9 @@ use crate::time::Nanos;
 /// Between two events of one kind about one node, when they come without end.
 const BETWEEN: Duration = Duration::from_secs(1);
 
+/// How long a node that has said how it ended may take to be gone.
+const ENDING: Duration = Duration::from_millis(500);
+
 impl Crew<'_> {
     /// Looks after one node; gives the end of the run when it cannot go on.
     pub(super) fn look(&mut self, node: usize, clock: WallClock) -> Option<End> {
@@ -110,7 +113,18 @@ impl Crew<'_> {
 
     fn start_again(&mut self, node: usize, clock: WallClock) -> Option<End> {
         self.members[node].restarts += 1;
-        // Its ports are the dead one's until somebody removes that.
+        // One that failed has waited so that others could take what it had sent. Its ports are its own as long as it lives.
+        let worker = &mut self.members[node].worker;
+        worker.hang_up();
+        if !worker.join(ENDING) {
+            worker.kill();
+            if !worker.join(ENDING) {
+                let reason = "the earlier one does not end, and a thread cannot be ended".into();
+                self.members[node].settings.restart = Restart::Never;
+                return self.ended(node, Exit::Failed { reason }, false, clock);
+            }
+        }
+        // And those of one that died are its own until somebody removes them.
         self.endpoint.remove_dead();
         match (self.hire)(node, false) {
             Ok(worker) => {

@@ -107,7 +107,7 @@ fn a_sender_that_hangs_leaves_safe_commands() {
     assert!(lines.iter().filter(|line| *line == "drive -42").count() > 20, "{report:#?} {lines:?}");
     // A deadline does the same, and sooner.
     let (_folder, log) = logged();
-    let settings = "[node.counter]\nheartbeat = 5\ndeadline = 0.05\non_deadline = \"safe\"\n";
+    let settings = "[node.counter]\nheartbeat = 1\ndeadline = 0.05\non_deadline = \"safe\"\n";
     let (report, _) = observe(&graph(&log, "counter", "hang", 20), 0.8, settings);
     let lines = read(&log);
     assert!(lines.iter().filter(|line| *line == "drive -42").count() > 20, "{report:#?} {lines:?}");
