@@ -304,6 +304,46 @@ fn cores_that_do_not_exist_are_an_error_and_shared_ones_a_warning() {
     );
 }
 
+/// The example of the documentation, as it stands there.
+fn documented_launch() -> String {
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/real-time.md");
+    let page = fs::read_to_string(page).unwrap();
+    let (_, example) = page.split_once("```toml\n").unwrap();
+    example.split_once("```").unwrap().0.to_owned()
+}
+
+#[test]
+fn the_documented_launch_settings_run() {
+    let folder = with_graph();
+    fs::write(folder.path().join("launch.toml"), documented_launch()).unwrap();
+    // It is found beside the graph, and what this machine refuses is said.
+    let run = ["run", "graph.toml", "--duration", "0.3"];
+    let json = |arguments: &[&str]| json(&folder, &[&run[..], arguments, &["--json"]].concat());
+    let report = json(&[]);
+    assert!(report["end"] == "duration", "{report}");
+    let motor = &report["nodes"].as_array().unwrap()[4];
+    // The agent's safe output is the last thing that the motor gets.
+    assert!(motor["node"] == "motor" && motor["made_safe"].is_i64(), "{motor}");
+    let sent = &motor["inputs"][0];
+    let count = |what: &str| sent[what].as_u64().unwrap();
+    assert_eq!(count("sent"), count("consumed") + count("superseded") + count("in_flight"), "{sent}");
+
+    // A flag goes before the file, another file in its place.
+    assert!(json(&["--set", "agent.safe={ voltage = \"hold\" }"])["end"] == "duration");
+    fs::write(folder.path().join("none.toml"), "").unwrap();
+    let report = json(&["--launch", "none.toml"]);
+    assert!(report["nodes"][4]["made_safe"].is_null(), "{report}");
+
+    let wrong = |settings: &str, says: &[&str]| {
+        fs::write(folder.path().join("launch.toml"), settings).unwrap();
+        fail(&folder, &run, 2, says);
+    };
+    wrong("[node.agen]\n", &["launch.toml: [node.agen]", "did you mean `agent`?"]);
+    wrong("[defaults]\npolicy = \"hard\"\n", &["launch.toml", "line 2", "hard"]);
+    fail(&folder, &["run", "graph.toml", "--launch", "gone.toml"], 2, &["gone.toml cannot be read"]);
+    fail(&folder, &["run", "graph.toml", "--set", "agent.polcy=fifo"], 2, &["agent.polcy=fifo", "polcy"]);
+}
+
 #[test]
 fn real_recordings_are_described() {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/emps");
