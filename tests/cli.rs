@@ -340,6 +340,7 @@ fn the_documented_launch_settings_run() {
     };
     wrong("[node.agen]\n", &["launch.toml: [node.agen]", "did you mean `agent`?"]);
     wrong("[defaults]\npolicy = \"hard\"\n", &["launch.toml", "line 2", "hard"]);
+    fs::remove_file(folder.path().join("launch.toml")).unwrap();
     fail(&folder, &["run", "graph.toml", "--launch", "gone.toml"], 2, &["gone.toml cannot be read"]);
     fail(&folder, &["run", "graph.toml", "--set", "agent.polcy=fifo"], 2, &["agent.polcy=fifo", "polcy"]);
 }
