@@ -4,7 +4,7 @@ use std::fmt;
 
 use parallax_runtime::graph::{Graph, GraphError};
 use parallax_runtime::node::{ErasedNode, InputWindow, NodeContext, NodeError, Step};
-use parallax_runtime::recording::{FaultKind, NodeTrack, Recording, StepRecord};
+use parallax_runtime::recording::{Fault, FaultKind, NodeTrack, Recording, StepRecord};
 use parallax_runtime::registry::Registry;
 use parallax_runtime::schedule::{ScheduleCheck, verify};
 
@@ -266,8 +266,16 @@ pub(crate) fn usable_steps(
     tracks: &[&NodeTrack],
     index: usize,
 ) -> Result<usize, ReplayError> {
+    let restarts = restarts(recording, &graph.nodes()[index].name);
+    let mut expected = 0;
     for (place, step) in tracks[index].steps.iter().enumerate() {
-        match check_step(graph, tracks, index, place as u64, step) {
+        // A node that is started again may leave out steps.
+        if step.seq > expected && restarts.contains(&step.seq) {
+            expected = step.seq;
+        }
+        let checked = check_step(graph, tracks, index, expected, step);
+        expected += 1;
+        match checked {
             // Tracks of a cut recording end at different times.
             Err(ReplayError::MissingMessage { .. } | ReplayError::MissingOutput { .. })
                 if recording.truncated.is_some() =>
@@ -278,6 +286,15 @@ pub(crate) fn usable_steps(
         }
     }
     Ok(tracks[index].steps.len())
+}
+
+/// The steps with which a node was started again.
+fn restarts(recording: &Recording, node: &str) -> Vec<u64> {
+    let restart = |fault: &Fault| match fault.kind {
+        FaultKind::Restarted { step, .. } if fault.node == node => Some(step),
+        _ => None,
+    };
+    recording.faults.iter().filter_map(restart).collect()
 }
 
 fn check_step(
@@ -352,15 +369,7 @@ fn rerun(
 
     let mut windows = empty_windows(graph, index);
     let mut output = track.initial.clone();
-    let restarts: Vec<u64> = recording
-        .faults
-        .iter()
-        .filter(|fault| fault.node == plan.name)
-        .filter_map(|fault| match fault.kind {
-            FaultKind::Restarted { step, .. } => Some(step),
-            _ => None,
-        })
-        .collect();
+    let restarts = restarts(recording, &plan.name);
     for step in steps {
         if restarts.contains(&step.seq) {
             // It was started again there, with a fresh state.

@@ -4,9 +4,11 @@ use std::marker::PhantomData;
 
 use parallax_model::node_model::NodeModel;
 
-use super::{ConnectionSpec, GraphSpec, JitterPolicy, NodeSpec, OnDeadSender, PlantSpec, Scheduling};
+use super::{
+    ConnectionSpec, GraphSpec, JitterPolicy, NodeSpec, OnDeadSender, PlantSpec, SafeValue, Scheduling,
+};
 use crate::delay::Delay;
-use crate::node::{Message, Node, Port};
+use crate::node::{Layout, Message, Node, Port};
 
 /// Builds a [`GraphSpec`]. A connection to a port of another message type does not compile.
 ///
@@ -197,6 +199,16 @@ impl<M> NodeBuilder<'_, M> {
     /// What it does when a node it waits for is gone.
     pub fn on_dead_sender(mut self, reaction: OnDeadSender) -> Self {
         self.spec.on_dead_sender = reaction;
+        self
+    }
+
+    /// What its receivers are given when it is gone, hangs or is too late.
+    pub fn safe(mut self, message: &M) -> Self
+    where
+        M: Message,
+    {
+        let values = message.to_vec().into_iter().map(SafeValue::Number);
+        self.spec.safe = Some(Layout::of::<M>().leaves.into_iter().zip(values).collect());
         self
     }
 

@@ -6,12 +6,12 @@
 use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use super::plan::{
-    self, CONSUMED, INITIAL, INPUT_HEAD, LOSS, LOSS_WORDS, MESSAGE_HEAD, STEP, STEP_HEAD, Settings,
-};
+use super::orders::Orders;
+use super::plan::{self, MESSAGE_HEAD, Settings};
+use super::records::Records;
 use super::settings::{NodeSettings, OnDeadline, OnNonFinite};
 use super::vitals::{InputVital, Vital, Vitals};
 use crate::channel::{ChannelError, Endpoint, Listener, Publisher, Subscriber, Waker};
@@ -26,51 +26,6 @@ use crate::time::{Grid, Nanos, SECOND};
 const PATIENCE: Nanos = 20_000_000;
 /// Between the order to take up the work of an earlier process and its first step.
 const LEAD: Nanos = 5_000_000;
-
-/// What others tell a running node.
-#[derive(Debug)]
-pub(super) struct Orders {
-    pub(super) stop: AtomicBool,
-    /// Nobody is left who could start, stop or watch anything.
-    pub(super) launcher_gone: AtomicBool,
-    /// News of each node of the graph, and whether there are any.
-    news: Box<[News]>,
-    any: AtomicBool,
-}
-
-#[derive(Debug)]
-struct News {
-    state: AtomicU8,
-    /// The message that the node did not send any more.
-    next: AtomicU64,
-}
-
-/// There is no news of the node.
-const NONE: u8 = 0;
-/// It is gone, and may come back.
-const AWAY: u8 = 1;
-/// It is gone for good.
-const DEAD: u8 = 2;
-
-impl Orders {
-    pub(super) fn new(nodes: usize) -> Self {
-        let news = |_| News { state: AtomicU8::new(NONE), next: AtomicU64::new(0) };
-        Self {
-            stop: AtomicBool::new(false),
-            launcher_gone: AtomicBool::new(false),
-            news: (0..nodes).map(news).collect(),
-            any: AtomicBool::new(false),
-        }
-    }
-
-    /// A node is gone before it sent message `next`.
-    pub(super) fn gone(&self, node: usize, next: u64, back: bool) {
-        let Some(news) = self.news.get(node) else { return };
-        news.next.store(next, Ordering::Relaxed);
-        news.state.store(if back { AWAY } else { DEAD }, Ordering::Release);
-        self.any.store(true, Ordering::Release);
-    }
-}
 
 /// Why a node cannot go on.
 #[derive(Debug, thiserror::Error)]
@@ -132,13 +87,6 @@ struct Input {
     safe_pending: bool,
 }
 
-/// The way to the recorder.
-struct Records {
-    publisher: Publisher,
-    words: Box<[u64]>,
-    sent: u64,
-}
-
 impl Stepper {
     /// Opens the receiving ends of a node's channels and its own, which the launcher has created.
     pub(super) fn open(
@@ -169,11 +117,7 @@ impl Stepper {
         }
         let records = match settings.recording {
             false => None,
-            true => {
-                let publisher = endpoint.open(&plan::records(graph, index))?.publisher()?;
-                let words = vec![0; publisher.topic().words].into();
-                Some(Records { publisher, words, sent: 0 })
-            }
+            true => Some(Records::open(endpoint, &plan::records(graph, index))?),
         };
         Ok(Self {
             node,
@@ -257,7 +201,7 @@ impl Stepper {
         let end = self.end;
         while !orders.stop.load(Ordering::Relaxed) {
             // What a node sent before its death is taken before the death is believed.
-            let news = orders.any.swap(false, Ordering::Acquire);
+            let news = orders.any();
             self.receive(clock, end)?;
             let now = clock.now();
             self.vitals.set(Vital::Beat, (clock.epoch() + now) as u64);
@@ -311,19 +255,16 @@ impl Stepper {
     /// Takes in which senders are gone. What they have sent since then shows that they are not.
     fn learn(&mut self, orders: &Orders) {
         for (index, input) in self.inputs.iter_mut().enumerate() {
-            let news = &orders.news[input.sender];
-            let state = news.state.load(Ordering::Acquire);
-            if state == NONE || self.inbox.gate().known(index) > news.next.load(Ordering::Relaxed) {
-                continue;
-            }
+            let known = self.inbox.gate().known(index);
+            let Some(for_good) = orders.absence(input.sender, known) else { continue };
             // While it may come back, only those wait for it who would stop without it.
-            if state == DEAD || self.on_dead_sender == OnDeadSender::Continue {
+            if for_good || self.on_dead_sender == OnDeadSender::Continue {
                 self.inbox.sender_dead(index);
             }
             input.safe_pending = true;
         }
         for input in &self.inputs {
-            orders.news[input.sender].state.store(NONE, Ordering::Relaxed);
+            orders.forget(input.sender);
         }
     }
 
@@ -427,17 +368,10 @@ impl Stepper {
             return Ok(());
         }
         self.vitals.add_lost(input, reason, count);
-        let Some(records) = &mut self.records else { return Ok(()) };
-        records.words[..LOSS_WORDS].copy_from_slice(&[
-            LOSS,
-            records.sent,
-            input as u64,
-            seqs.start,
-            count,
-            time as u64,
-            plan::reason_code(reason),
-        ]);
-        records.send(LOSS_WORDS, &self.vitals)
+        match &mut self.records {
+            Some(records) => records.loss(input, seqs.start, count, time, reason, &self.vitals),
+            None => Ok(()),
+        }
     }
 
     /// Shows where the messages of an input are.
@@ -474,8 +408,8 @@ impl Stepper {
             waker.wake();
         }
         if let Some(records) = &mut self.records {
-            let length = records.step([seq, due as u64, start as u64, end as u64], &self.inbox, values);
-            records.send(length, &self.vitals)?;
+            let times = [seq, due as u64, start as u64, end as u64];
+            records.step(times, &self.inbox, values, &self.vitals)?;
         }
         let shift = self.inbox.gate().shift();
         self.inbox.end(end)?;
@@ -568,36 +502,4 @@ pub(super) fn panicked(panic: &(dyn std::any::Any + Send)) -> String {
     let text = panic.downcast_ref::<String>().map(String::as_str);
     let text = text.or_else(|| panic.downcast_ref::<&str>().copied());
     format!("panicked: {}", text.unwrap_or("without a message"))
-}
-
-impl Records {
-    /// Puts the record of a step together; gives its length in words.
-    fn step(&mut self, times: [u64; 4], inbox: &Inbox, values: &[f64]) -> usize {
-        self.words[0] = STEP;
-        self.words[1] = self.sent;
-        self.words[2..STEP_HEAD].copy_from_slice(&times);
-        let mut at = STEP_HEAD;
-        for window in inbox.windows() {
-            self.words[at] = window.superseded();
-            self.words[at + 1] = window.stamps().len() as u64;
-            at += INPUT_HEAD;
-            for stamp in window.stamps() {
-                let words = [stamp.seq.unwrap_or(INITIAL), stamp.sent as u64, stamp.received as u64];
-                self.words[at..at + CONSUMED].copy_from_slice(&words);
-                at += CONSUMED;
-            }
-        }
-        for (word, value) in self.words[at..].iter_mut().zip(values) {
-            *word = value.to_bits();
-        }
-        at + values.len()
-    }
-
-    fn send(&mut self, length: usize, vitals: &Vitals) -> Result<(), ChannelError> {
-        // A record that does not reach the recorder leaves a gap in this count, which the recorder reports.
-        self.sent += 1;
-        self.publisher.send(length, |word| self.words[word])?;
-        vitals.set(Vital::Records, self.sent);
-        Ok(())
-    }
 }

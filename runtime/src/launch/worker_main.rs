@@ -12,10 +12,11 @@ use std::time::{Duration, Instant};
 
 use super::control::{Answer, Line, Order};
 use super::error::RunError;
+use super::orders::Orders;
 use super::plan::{self, RUN_FILE, RunFile, Settings};
 use super::report::Exit;
 use super::settings::{NodeSettings, Policy};
-use super::stepper::{Orders, StepError, Stepper, panicked};
+use super::stepper::{StepError, Stepper, panicked};
 use crate::channel::{Endpoint, Space, Waker, clean_stale};
 use crate::clock::WallClock;
 use crate::graph::Graph;

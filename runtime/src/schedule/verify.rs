@@ -292,6 +292,19 @@ impl<'a> Feed<'a> {
             match self.gate.ready() {
                 Wait::Until(earliest) => return Ok(earliest),
                 Wait::Message { input, seq } => {
+                    // It never came, and a later one showed that, which was passed over: when that arrived is not recorded,
+                    // and by now it may have.
+                    let (arrivals, told) = &mut self.arrivals[input];
+                    if let Some(next) = arrivals.get(*told)
+                        && next.bound
+                        && next.sent <= start
+                        && next.seq > seq
+                    {
+                        *told += 1;
+                        let told = self.gate.arrive(input, next.seq, next.sent, start);
+                        told.map_err(|error| DeviationKind::Impossible { problem: error.to_string() })?;
+                        continue;
+                    }
                     let connection = self.graph.nodes()[self.index].inputs[input];
                     let sender = &self.graph.nodes()[self.graph.connections()[connection].from].name;
                     let simulated = matches!(self.recording.clock, Clock::Simulated { .. });

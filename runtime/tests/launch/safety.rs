@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitCode, Stdio};
 use std::time::{Duration, Instant};
 
-use parallax_runtime::graph::{GraphSpec, SafeValue};
+use parallax_runtime::graph::{GraphSpec, OnDeadSender, SafeValue};
 use parallax_runtime::launch::{EventKind, Exit, RunOptions, run};
 
 use crate::Test;
@@ -16,10 +16,12 @@ use crate::settings::launch;
 pub(crate) const TESTS: &[Test] = &[
     ("a_driver_ends_on_safe_commands", a_driver_ends_on_safe_commands),
     ("a_killed_sender_leaves_safe_commands", a_killed_sender_leaves_safe_commands),
+    ("a_driver_that_waits_for_a_dead_sender_ends_safely", a_driver_that_waits_for_a_dead_sender_ends_safely),
     ("a_sender_that_hangs_leaves_safe_commands", a_sender_that_hangs_leaves_safe_commands),
     ("a_driver_that_fails_or_panics_stops", a_driver_that_fails_or_panics_stops),
     ("a_killed_driver_is_stopped_by_a_fresh_process", a_killed_driver_is_stopped_by_a_fresh_process),
     ("without_a_launcher_everything_ends_safely", without_a_launcher_everything_ends_safely),
+    ("what_a_crash_of_everybody_leaves_is_removed", what_a_crash_of_everybody_leaves_is_removed),
 ];
 
 const SAFE: f64 = -42.0;
@@ -94,6 +96,16 @@ fn a_killed_sender_leaves_safe_commands() {
     let safe = lines.iter().filter(|line| *line == "drive -42").count();
     assert!(safe > 5 && safe < lines.len() - 10, "{lines:?}");
     assert_ne!(lines[lines.len() - 3], "drive -42", "{report:#?} {lines:?}");
+}
+
+fn a_driver_that_waits_for_a_dead_sender_ends_safely() {
+    let (_folder, log) = logged();
+    let mut graph = graph(&log, "counter", "kill", 20);
+    graph.connections[0].blocking = true;
+    graph.nodes[1].on_dead_sender = OnDeadSender::Stop;
+    let (report, _) = observe(&graph, 60.0, "");
+    assert_eq!(report.nodes[1].exit, Exit::DeadSender { sender: "counter".into() });
+    ends(&read(&log), "SenderGone");
 }
 
 fn graph_back(log: &Path) -> GraphSpec {
@@ -184,4 +196,18 @@ fn without_a_launcher_everything_ends_safely() {
         until("shared memory is free again", || remains(launcher.id()).is_empty());
         ends(&read(&log), "LauncherGone");
     }
+}
+
+fn what_a_crash_of_everybody_leaves_is_removed() {
+    let (_folder, log) = logged();
+    let (mut launcher, nodes) = driven(&log);
+    // Nobody is given the time to notice that others are gone.
+    signal(launcher.id(), libc::SIGSTOP);
+    nodes.iter().for_each(|node| signal(*node, libc::SIGKILL));
+    signal(launcher.id(), libc::SIGKILL);
+    launcher.wait().unwrap();
+    assert!(!remains(launcher.id()).is_empty(), "there is nobody who could have removed it");
+    let (_folder, log) = logged();
+    observe(&graph(&log, "counter", "", 0), 0.1, "");
+    assert_eq!(remains(launcher.id()), Vec::<String>::new(), "the next run has");
 }

@@ -1,6 +1,6 @@
 //! Launch settings: what they do to the nodes of a run, and what is said about those that cannot be.
 
-use parallax_runtime::launch::{LaunchSpec, Mode, RunError, RunOptions, run};
+use parallax_runtime::launch::{End, LaunchSpec, Mode, RunError, RunOptions, run};
 
 use crate::Test;
 use crate::nodes::{Place, graph, place_of, registry};
@@ -13,6 +13,7 @@ pub(crate) const TESTS: &[Test] = &[
     ("settings_that_cannot_be_are_named", settings_that_cannot_be_are_named),
     ("what_the_system_refuses_stops_the_run_if_asked", refusals_stop_the_run_if_asked),
     ("a_node_that_polls_shares_no_core", a_node_that_polls_shares_no_core),
+    ("a_node_that_polls_under_fifo_can_be_stopped", a_node_that_polls_under_fifo_can_be_stopped),
 ];
 
 pub(crate) fn launch(text: &str) -> LaunchSpec {
@@ -144,5 +145,21 @@ fn a_node_that_polls_shares_no_core() {
         let says =
             |warning: &&String| warning.contains("counter was to poll always") && warning.contains("adder");
         assert!(report.warnings.iter().any(|warning| says(&warning)), "{:?}", report.warnings);
+    }
+}
+
+fn a_node_that_polls_under_fifo_can_be_stopped() {
+    let settings = "[node.counter]\nwait = \"spin\"\npolicy = \"fifo\"\npriority = 50\n";
+    for mode in [Mode::Processes, Mode::Threads] {
+        let stop = |progress: parallax_runtime::launch::Progress| progress.elapsed < 200_000_000;
+        let options = RunOptions {
+            launch: launch(settings),
+            mode,
+            progress: Some(Box::new(stop)),
+            ..RunOptions::default()
+        };
+        let report = run(&graph(), &registry(), options).unwrap();
+        assert_eq!(report.end, End::Signal);
+        assert!(report.clean() && report.nodes[0].steps > 20, "{report:#?}");
     }
 }

@@ -1,0 +1,71 @@
+//! What others tell a running node, without a lock.
+
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
+
+/// What others tell a running node.
+#[derive(Debug)]
+pub(super) struct Orders {
+    pub(super) stop: AtomicBool,
+    /// Nobody is left who could start, stop or watch anything.
+    pub(super) launcher_gone: AtomicBool,
+    /// News of each node of the graph, and whether there are any.
+    news: Box<[News]>,
+    any: AtomicBool,
+}
+
+#[derive(Debug)]
+struct News {
+    state: AtomicU8,
+    /// The message that the node did not send any more.
+    next: AtomicU64,
+}
+
+/// There is no news of the node.
+const NONE: u8 = 0;
+/// It is gone, and may come back.
+const AWAY: u8 = 1;
+/// It is gone for good.
+const DEAD: u8 = 2;
+
+impl Orders {
+    pub(super) fn new(nodes: usize) -> Self {
+        let news = |_| News { state: AtomicU8::new(NONE), next: AtomicU64::new(0) };
+        Self {
+            stop: AtomicBool::new(false),
+            launcher_gone: AtomicBool::new(false),
+            news: (0..nodes).map(news).collect(),
+            any: AtomicBool::new(false),
+        }
+    }
+
+    /// A node is gone before it sent message `next`.
+    pub(super) fn gone(&self, node: usize, next: u64, back: bool) {
+        let Some(news) = self.news.get(node) else { return };
+        news.next.store(next, Ordering::Relaxed);
+        news.state.store(if back { AWAY } else { DEAD }, Ordering::Release);
+        self.any.store(true, Ordering::Release);
+    }
+
+    /// Whether there is news of any node since the last time that this was asked.
+    pub(super) fn any(&self) -> bool {
+        self.any.swap(false, Ordering::Acquire)
+    }
+
+    /// Whether a node is gone from which the last message was that before `known`; and whether for good.
+    pub(super) fn absence(&self, node: usize, known: u64) -> Option<bool> {
+        let news = self.news.get(node)?;
+        match news.state.load(Ordering::Acquire) {
+            // What it has sent since then shows that it is there.
+            NONE => None,
+            _ if known > news.next.load(Ordering::Relaxed) => None,
+            state => Some(state == DEAD),
+        }
+    }
+
+    /// The news of a node has been taken in.
+    pub(super) fn forget(&self, node: usize) {
+        if let Some(news) = self.news.get(node) {
+            news.state.store(NONE, Ordering::Relaxed);
+        }
+    }
+}
