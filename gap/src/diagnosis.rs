@@ -15,6 +15,7 @@ use crate::equations::MOST_VARIABLES;
 use crate::excitation::{self, Wishes};
 use crate::experiment::Experiment;
 use crate::explain;
+use crate::held_out;
 use crate::hypothesis::{EffectAt, Slot};
 use crate::innovation::walk;
 use crate::library;
@@ -184,7 +185,6 @@ pub(crate) fn prepare(
     }
     quantify::refine_step(&mut setup);
     setup.stop = Stop::when(options.stop.clone());
-    let setup = setup;
     if setup.train.is_empty() || setup.test.is_empty() {
         return Err(DiagnosisError::Short {
             title: title.into(),
@@ -193,7 +193,11 @@ pub(crate) fn prepare(
             needed: 12.0 * setup.horizon,
         });
     }
-    let null = search::null(&setup);
+    let mut null = search::null(&setup);
+    if let Some(other) = held_out::fairer(&setup, &null) {
+        setup.hold_out(other);
+        null = search::null(&setup);
+    }
     if !null.innovation.minimum.cost.is_finite() {
         return Err(DiagnosisError::NotFinite {
             file: setup.equations.system().file.clone(),

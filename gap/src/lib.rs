@@ -79,6 +79,7 @@ pub mod experiment;
 pub mod explain;
 pub mod filter;
 pub mod fit;
+mod held_out;
 pub mod hypothesis;
 pub mod innovation;
 pub mod judge;

@@ -158,7 +158,7 @@ impl Setup {
             supply.voltage = supply.voltage.averaged(period);
         }
         let (state, std) = guess(&equations, &experiment, &output_scale, period);
-        let (train, test) = segments(&experiment, horizon, period, &state, &std);
+        let (train, test) = segments(&experiment, horizon, period, (&state, &std), HELD_OUT);
         let scale: Vec<f64> = (0..equations.system().states.len())
             .map(|i| f64::from(u8::from(!kinematic(&equations, i))))
             .collect();
@@ -208,6 +208,13 @@ impl Setup {
         };
         setup.measure();
         setup
+    }
+
+    /// Holds out another of every three blocks, or recordings.
+    pub fn hold_out(&mut self, which: usize) {
+        let Some(Segment { state, std, .. }) = self.train.first().cloned() else { return };
+        (self.train, self.test) =
+            segments(&self.experiment, self.horizon, self.period, (&state, &std), which % 3);
     }
 
     /// Runs the nominal model once, corrected by the readings, to see how large its motions are.
@@ -345,14 +352,17 @@ fn guess(
     (state, std)
 }
 
-/// Cuts the log into blocks: of every three, the third is held out. Of three recordings or more, every third is held out
-/// as a whole: what was learned must hold on another run.
+/// Which of every three blocks is held out at first.
+pub const HELD_OUT: usize = 2;
+
+/// Cuts the log into blocks: of every three, one is held out. Of three recordings or more, every third is held out as a
+/// whole: what was learned must hold on another run.
 fn segments(
     experiment: &Experiment,
     horizon: f64,
     period: f64,
-    state: &[f64],
-    std: &[f64],
+    (state, std): (&[f64], &[f64]),
+    held_out: usize,
 ) -> (Vec<Segment>, Vec<Segment>) {
     let mut train: Vec<Segment> = Vec::new();
     let mut test = Vec::new();
@@ -361,7 +371,7 @@ fn segments(
     let whole = spans.len() >= 3;
     for (k, (from, to)) in spans.iter().copied().enumerate() {
         if whole {
-            match k % 3 == 2 {
+            match k % 3 == held_out {
                 // The filter needs readings before the first prediction.
                 true => test.push(segment((from + 2.0 * horizon).min(to), to + 1e-9)),
                 false => train.push(segment(from, to + 1e-9)),
@@ -373,7 +383,7 @@ fn segments(
         for block in 0..blocks {
             let a = from + block as f64 * length;
             let b = if block + 1 == blocks { to + 1e-9 } else { a + length };
-            if block % 3 == 2 || (blocks == 2 && block == 1) {
+            if block % 3 == held_out || (blocks == 2 && block == usize::from(held_out == HELD_OUT)) {
                 test.push(segment(a, b));
             } else if let Some(last) = train.last_mut().filter(|s| (s.to - a).abs() < 1e-9) {
                 last.to = b;

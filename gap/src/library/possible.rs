@@ -18,7 +18,7 @@ use crate::statistics::{median, standard_deviation};
 const WITHIN: f64 = 0.25;
 
 /// Share of a command's deviation that a saturation must leave.
-const LEFT: f64 = 0.25;
+const LEFT: f64 = 0.05;
 
 /// Share of time that a clipped state must be clear of its limits.
 const INSIDE: f64 = 0.1;

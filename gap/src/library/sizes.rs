@@ -107,9 +107,14 @@ fn level(setup: &Setup, at: &EffectAt, index: usize, spec: &EffectParameter, fit
             let (low, high) = if upper { (range.middle(), range.high) } else { (range.low, range.middle()) };
             fitted.null = if upper { high } else { low };
             // Shares of half the range; clipped readings give a window no guess, so that starts are nearer there.
-            let shares = if at.place.kind == PlaceKind::Output { [0.1, 0.3, 0.6] } else { [0.05, 0.3, 0.6] };
-            let starts = shares.map(|s| fitted.null + s * (range.middle() - fitted.null));
-            flat(fitted, low, high, starts.to_vec());
+            // A command may be far above what the machine can do.
+            let shares: &[f64] = match at.place.kind {
+                PlaceKind::Output => &[0.1, 0.3, 0.6],
+                PlaceKind::Input => &[0.05, 0.3, 0.6, 0.9],
+                _ => &[0.05, 0.3, 0.6],
+            };
+            let starts = shares.iter().map(|s| fitted.null + s * (range.middle() - fitted.null)).collect();
+            flat(fitted, low, high, starts);
         }
         Quantity::Level if at.effect == Effect::SaturationSoft => {
             sized(fitted, 0.15 * range.width().max(1e-12), &[0.3]);
@@ -194,10 +199,7 @@ fn joint(setup: &Setup, index: usize, effect: Effect, quantity: Quantity, fitted
             fitted.prior = Prior::Uniform { low: -PI, high: PI };
             (fitted.scale, fitted.starts) = (0.3, vec![0.0]);
         }
-        Q::Inertia => {
-            sized(fitted, 0.3 * scale.inertia, &[0.0]);
-            fitted.low = -0.9 * scale.inertia;
-        }
+        Q::Inertia => sized(fitted, 0.3 * scale.inertia, &[0.0, 0.5]),
         Q::Mass => {
             let size = 0.3 * mass(setup, index);
             sized(fitted, size, &[0.0]);

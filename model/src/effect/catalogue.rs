@@ -93,7 +93,7 @@ pub(super) const fn of(effect: Effect) -> Entry {
             signed("amplitude", Q::Force), within("wavenumber", Q::Wavenumber, 1.0, 0.0, INF),
             within("phase", Q::Phase, 0.0, -2.0 * PI, 2.0 * PI)] }),
         // Body.
-        Effect::Inertia => entry("inertia", "has another inertia", JOINT, const { &[signed("added", Q::Inertia)] }),
+        Effect::Inertia => entry("inertia", "has another inertia", JOINT, const { &[positive("added", Q::Inertia)] }),
         Effect::Payload => entry("payload", "carries another mass", JOINT, const { &[signed("mass", Q::Mass)] }),
         Effect::GravityTilt => entry("gravity_tilt", "is tilted against gravity", JOINT,
             const { &[within("angle", Q::Angle, 0.0, -PI, PI)] }),
