@@ -1,8 +1,9 @@
 //! The diagnosis from end to end: bind, fit, weigh, localise, quantify, report.
 
 mod error;
+mod screen;
 
-use parallax_model::effect::{Effect, Place, PlaceKind};
+use parallax_model::effect::Effect;
 use parallax_model::system::{EffectEntry, Equations, System};
 use parallax_runtime::recording::log::Log;
 use rayon::prelude::*;
@@ -16,7 +17,7 @@ use crate::excitation::{self, Wishes};
 use crate::experiment::Experiment;
 use crate::explain;
 use crate::held_out;
-use crate::hypothesis::{EffectAt, Slot};
+use crate::hypothesis::EffectAt;
 use crate::innovation::walk;
 use crate::library;
 use crate::maps;
@@ -24,7 +25,7 @@ pub use crate::options::Options;
 use crate::pieces;
 use crate::posterior::{self, Answer};
 use crate::quantify::{self, Row};
-use crate::readings::{self, ReadingEffect};
+use crate::readings::{self, LostCommands, Raw, ReadingEffect};
 use crate::report::{
     Absorbed, Confusable, FittedEffect, Gap, NotTestable, Overlay, Report, Split, Unexplained,
 };
@@ -32,10 +33,11 @@ use crate::rows::Rows;
 use crate::search::{self, Fit};
 use crate::setup::Setup;
 use crate::shapley;
-use crate::signature::{self, Nuisance};
+use crate::signature::Nuisance;
 use crate::stop::Stop;
 use crate::unknown;
 pub use error::DiagnosisError;
+use screen::{chosen, outgrown, screen};
 
 /// What comes out: the report, what its plots need, and what a corrected system needs.
 #[derive(Clone, Debug)]
@@ -116,9 +118,41 @@ pub(crate) fn diagnose_bound(
     checked: bool,
     progress: &(dyn Fn(f64, &str) + Sync),
 ) -> Result<Diagnosis, DiagnosisError> {
+    let mut raw = Raw::of(&equations, &experiment);
+    let weigh = |raw: &Raw, experiment: &Experiment| {
+        weigh_all(equations.clone(), experiment, raw, title, options, checked, progress)
+    };
+    let mut found = weigh(&raw, &experiment)?;
+    // What was said of the readings before any model knew them is held to the models that do.
+    let fits = [&found.null, found.answers.leader(&found.null)];
+    let doubted = readings::contradicted(&found.setup, &raw, &experiment, &fits);
+    if !doubted.is_empty() && !found.setup.stop.asked() {
+        doubted.into_iter().for_each(|output| raw.take_back(output));
+        found = weigh(&raw, &experiment)?;
+    }
+    progress(0.9, "lost commands");
+    let lost = readings::lost(&found.setup, &experiment, &found.null, &found.answers, options);
+    if let Some(lost) = &lost {
+        // What else there is shows once the losses are known.
+        found = weigh(&raw, &lost.replaced(experiment))?;
+    }
+    progress(0.92, "held-out time");
+    Ok(conclude(title, options, found, lost))
+}
+
+/// Everything up to the weights of the answers.
+fn weigh_all(
+    equations: Equations,
+    experiment: &Experiment,
+    raw: &Raw,
+    title: &str,
+    options: &Options,
+    checked: bool,
+    progress: &(dyn Fn(f64, &str) + Sync),
+) -> Result<Found, DiagnosisError> {
     progress(0.0, "nominal model");
-    let readings = readings::examine(&equations, &experiment);
-    let (setup, null) = prepare(equations, experiment, title, options)?;
+    let readings = raw.effects();
+    let (setup, null) = prepare(equations, experiment, raw, title, options)?;
     if setup.stop.asked() {
         return Err(DiagnosisError::Stopped);
     }
@@ -152,14 +186,14 @@ pub(crate) fn diagnose_bound(
         .extend(unknown::kinds(&setup).into_iter().map(|kind| unknown::columns(&setup, &null, &null, kind)));
     let score = detect::p_value(&nuisance, &columns, options.seed);
     let p_value = detect::by_either(score, answers.log_evidence);
-    progress(0.92, "held-out time");
-    Ok(conclude(&setup, title, options, Found { null, answers, p_value, not_testable, absorbed, readings }))
+    Ok(Found { setup, null, answers, p_value, not_testable, absorbed, readings })
 }
 
 /// Looks at the data, and fits the nominal model: the null hypothesis.
 pub(crate) fn prepare(
     equations: Equations,
-    experiment: Experiment,
+    experiment: &Experiment,
+    raw: &Raw,
     title: &str,
     options: &Options,
 ) -> Result<(Setup, Fit), DiagnosisError> {
@@ -172,8 +206,8 @@ pub(crate) fn prepare(
         return Err(DiagnosisError::TooMany { file: system.file.clone(), states, calibrated, most });
     }
     // Readings that do not follow the plant would be taken for its motion.
-    let least = readings::believed(&equations, &readings::examine(&equations, &experiment));
-    let (experiment, _) = readings::cleaned(&equations, &experiment);
+    let least = raw.believed(&equations);
+    let (experiment, _) = raw.cleaned(experiment);
     let (from, to) = experiment.span();
     let mut setup = Setup::with_noise(equations, experiment, options.horizon, &least);
     if setup.horizon < 2.0 * setup.period {
@@ -209,6 +243,7 @@ pub(crate) fn prepare(
 
 /// What the search found, before the conclusions.
 struct Found {
+    setup: Setup,
     null: Fit,
     answers: posterior::Posterior,
     p_value: f64,
@@ -218,88 +253,18 @@ struct Found {
     readings: Vec<ReadingEffect>,
 }
 
-/// Calibrated parameters that want to leave their bounds: each is a hypothesis of its own.
-fn outgrown(setup: &Setup, null: &Fit) -> Vec<EffectAt> {
-    let fitted = null.hypothesis.fitted.iter().enumerate();
-    fitted
-        .filter(|(j, _)| null.rests(*j))
-        .filter_map(|(_, f)| {
-            let Slot::Nominal(index) = f.slot else { return None };
-            let name = &setup.equations.system().parameters[index].name;
-            Some(EffectAt {
-                effect: Effect::Parameter,
-                place: Place::new(PlaceKind::Parameter, name.clone()),
-            })
-        })
-        .collect()
-}
-
-/// The effects that the user lets be tried; the others are listed as not tested.
-fn chosen(
-    candidates: Vec<EffectAt>,
-    not_testable: &mut Vec<library::NotTestable>,
-    options: &Options,
-) -> Vec<EffectAt> {
-    not_testable.retain(|n| options.allows(&n.effect));
-    let (kept, left_out) = candidates.into_iter().partition(|at| options.allows(at));
-    not_testable.extend(
-        Vec::into_iter(left_out)
-            .map(|effect| library::NotTestable { effect, reason: "you left it out".into() }),
-    );
-    kept
-}
-
 /// Error of predictions on held-out time, in noise units, up to which their mean counts as explained.
 const MEAN_EXPLAINED: f64 = 3.0;
 
 /// Share of the squared error on held-out time that a residual must leave for the rest to count as chance.
 const CHANCE: f64 = 0.5;
 
-/// Share of a sensitivity's length that must be left beyond the calibrated parameters for an effect to be its own.
-const ABSORBED: f64 = 0.03;
-
-/// Leaves out effects that calibrated parameters cover or that leave no trace in this log.
-fn screen(
-    setup: &Setup,
-    null: &Fit,
-    nuisance: &Nuisance,
-    candidates: Vec<EffectAt>,
-    not_testable: &mut Vec<library::NotTestable>,
-) -> (Vec<EffectAt>, Vec<nalgebra::DMatrix<f64>>, Vec<Absorbed>) {
-    let (mut kept, mut kept_columns, mut absorbed) = (Vec::new(), Vec::new(), Vec::new());
-    for effect in candidates {
-        let columns = signature::columns(setup, null, &effect);
-        let own = nuisance.project_columns(&columns);
-        let (before, after) = (columns.norm(), own.norm());
-        if before.is_nan() || before <= 1e-9 {
-            let reason = "it leaves no trace in these readings".to_owned();
-            not_testable.push(library::NotTestable { effect, reason });
-        } else if after < ABSORBED * before {
-            absorbed.push(Absorbed { effect: effect.label(), by: absorber(null, &columns) });
-        } else {
-            kept.push(effect);
-            kept_columns.push(columns);
-        }
-    }
-    (kept, kept_columns, absorbed)
-}
-
-/// The calibrated parameter that moves most when it takes an effect's place.
-fn absorber(null: &Fit, columns: &nalgebra::DMatrix<f64>) -> String {
-    let p = null.hypothesis.fitted.len();
-    let all = null.innovation.pass.whitened_by_parameter();
-    let by = (0..p).max_by(|a, b| {
-        let cosine = |j: usize| {
-            let v = nalgebra::DVector::from_iterator(columns.nrows(), all.iter().skip(j).step_by(p).copied());
-            columns.column_iter().map(|c| signature::cosine(&c.into_owned(), &v)).fold(0.0, f64::max)
-        };
-        cosine(*a).total_cmp(&cosine(*b))
-    });
-    by.map_or_else(String::new, |j| null.hypothesis.fitted[j].name.clone())
-}
-
-fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diagnosis {
-    let Found { null, answers, p_value, not_testable, absorbed, mut readings } = found;
+fn conclude(title: &str, options: &Options, found: Found, lost: Option<LostCommands>) -> Diagnosis {
+    let Found { setup, null, answers, p_value, not_testable, absorbed, mut readings } = found;
+    let setup = &setup;
+    // Without the effect the machine is predicted from what was sent, with it from what arrived.
+    let recorded = lost.as_ref().map(|lost| lost.as_recorded(setup));
+    let scored = recorded.as_ref().unwrap_or(setup);
     let system = setup.equations.system();
     let best = answers.leader(&null);
     let named = answers.answers.first().map_or(0.0, |a| a.probability) > answers.unexplained;
@@ -323,12 +288,13 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
         &options.explain,
     );
 
-    let row = |fit: &Fit| {
+    let predicted = |setup: &Setup, fit: &Fit| {
         let simulator = library::simulator(setup, &fit.hypothesis, fit.residuals.clone());
         quantify::predict(setup, &simulator, fit.estimate(), &fit.innovation.noise)
     };
+    let row = |fit: &Fit| predicted(setup, fit);
     let nominal_theta: Vec<f64> = null.hypothesis.fitted.iter().map(|f| f.null).collect();
-    let simulator = library::simulator(setup, &null.hypothesis, Vec::new());
+    let simulator = library::simulator(scored, &null.hypothesis, Vec::new());
     let pass = walk(&simulator, &setup.train, &setup.noise, &null.innovation.noise, &nominal_theta);
     let noise = pass.refit_noise(
         &setup.noise.scale,
@@ -336,14 +302,16 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
         &setup.noise.limits,
         setup.noise.process_floor,
     );
-    let nominal = quantify::predict(setup, &simulator, &nominal_theta, &noise);
-    let refitted = row(&null);
-    let with_effect = if detected && named { row(best) } else { refitted.clone() };
+    let nominal = quantify::predict(scored, &simulator, &nominal_theta, &noise);
+    let refitted = predicted(scored, &null);
+    let shown = if detected && named { best } else { &null };
+    let with_effect = if (detected && named) || lost.is_some() { row(shown) } else { refitted.clone() };
     let black_box = answers.residual(named).map_or_else(|| with_effect.clone(), row);
 
     let rows = Rows { nominal, refitted, with_effect, black_box };
     let Rows { refitted, with_effect, black_box, .. } = &rows;
-    let split = if detected && named { split(setup, &null, best, refitted, with_effect) } else { Vec::new() };
+    let split =
+        if detected && named { split(setup, &null, best, &row(&null), with_effect) } else { Vec::new() };
     let how_far = rows.how_far(setup.horizon, split, options.seed);
     let share = if detected { rows.left() } else { 0.0 };
     let unexplained = Unexplained { probability: answers.unexplained, share };
@@ -353,7 +321,6 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
 
     // How readings scatter is a cause of the gap only where their mean leaves nothing larger. Commands that scatter move
     // the machine by chance: neither an effect nor a residual predicts it over a horizon, and innovations alone tell.
-    let shown = if detected && named { best } else { &null };
     let excess = with_effect.mean_square() - 1.0;
     let by_chance = black_box.mean_square() > CHANCE * with_effect.mean_square();
     let mean_explained = with_effect.mean_square() < MEAN_EXPLAINED.powi(2) || (!detected && by_chance);
@@ -366,13 +333,21 @@ fn conclude(setup: &Setup, title: &str, options: &Options, found: Found) -> Diag
         let effects = if detected && named { &best.hypothesis.effects[..] } else { &[] };
         effects.iter().any(|at| at.effect == Effect::SensorSaturation && at.place.to_string() == r.place)
     };
-    let causes: Vec<ReadingEffect> = readings
+    let mut causes: Vec<ReadingEffect> = readings
         .iter()
         .filter(|r| r.significant && (at_input(r) || mean_explained))
-        // The corners of a clipped reading look like outliers and bad times.
-        .filter(|r| !clipped(r) && !readings::is_trace(r, &readings))
+        // The corners of a clipped reading look like outliers and bad times, and losses that were missed like late commands.
+        .filter(|r| {
+            !clipped(r)
+                && lost.as_ref().is_none_or(|lost| lost.effect.place != r.place)
+                && !readings::is_trace(r, &readings)
+        })
         .cloned()
         .collect();
+    if let Some(lost) = lost {
+        readings.push(lost.effect.clone());
+        causes.push(lost.effect);
+    }
     let chance = causes.iter().map(|r| (0.5 * r.evidence).exp()).fold(p_value, f64::min);
     let (mean_detected, detected) = (detected, detected || !causes.is_empty());
     let shown = if mean_detected && named { best } else { &null };

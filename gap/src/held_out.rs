@@ -24,7 +24,7 @@ pub(crate) fn fairer(setup: &Setup, null: &Fit) -> Option<usize> {
         };
         surprise(&setup.test) / surprise(&setup.train)
     };
-    if !(ratio(setup) > UNLIKE) {
+    if ratio(setup).is_nan() || ratio(setup) <= UNLIKE {
         return None;
     }
     let others = (0..HELD_OUT).filter_map(|which| {

@@ -2,6 +2,7 @@
 
 mod support;
 
+use parallax_gap::diagnosis::{Options, diagnose_experiment};
 use parallax_gap::experiment::{Experiment, Held, Sample};
 use parallax_gap::readings::{ReadingEffect, Suspicion, cleaned, examine, scatter};
 use parallax_gap::search;
@@ -194,7 +195,7 @@ reading = { value = "y", unit = "m", noise = 0.002 }
 "#;
 
 /// The follower's log; commands act late by up to `most` seconds, and a share of them is `lost`.
-fn followed(seed: u64, most: f64, lost: f64) -> Vec<ReadingEffect> {
+fn follow(seed: u64, most: f64, lost: f64) -> (Equations, Experiment) {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let (mut level, mut acted, mut samples) = (Held::default(), Held::default(), Vec::new());
     for k in 0..400 {
@@ -226,8 +227,37 @@ fn followed(seed: u64, most: f64, lost: f64) -> Vec<ReadingEffect> {
         ..Experiment::default()
     };
     let system = System::parse(FOLLOWER, "follower.toml").expect("valid");
-    let setup = Setup::new(system.equations().expect("complete"), experiment, None);
+    (system.equations().expect("complete"), experiment)
+}
+
+/// What scatters in the follower's log.
+fn followed(seed: u64, most: f64, lost: f64) -> Vec<ReadingEffect> {
+    let (equations, experiment) = follow(seed, most, lost);
+    let setup = Setup::new(equations, experiment, None);
     scatter(&setup, &search::null(&setup))
+}
+
+#[test]
+fn corners_of_the_motion_are_neither_noise_nor_outliers() {
+    let (equations, experiment) = follow(6, 0.0, 0.0);
+    assert!(significant(&examine(&equations, &experiment)).contains(&"outliers@output:reading".to_owned()));
+    let found = diagnose_experiment(equations, experiment, "follower", &Options::default(), &|_, _| {})
+        .expect("a diagnosis")
+        .report;
+    assert!(!found.gap.detected, "{}", found.summary);
+}
+
+#[test]
+fn lost_commands_are_named_and_the_rest_is_explained_by_what_arrived() {
+    let (equations, experiment) = follow(6, 0.0, 0.08);
+    let found = diagnose_experiment(equations, experiment, "follower", &Options::default(), &|_, _| {})
+        .expect("a diagnosis")
+        .report;
+    let names: Vec<&str> = found.which[0].effects.iter().map(|e| e.name.as_str()).collect();
+    assert_eq!(names, ["drops"], "{}", found.summary);
+    let rate = &found.which[0].effects[0].parameters["rate"];
+    assert!((rate.value - 0.08).abs() < 2.0 * rate.std, "{rate:?}");
+    assert!(found.how_far.closed_by_effect.value > 0.95, "{:?}", found.how_far);
 }
 
 #[test]

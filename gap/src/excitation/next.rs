@@ -8,6 +8,7 @@ use crate::experiment::Experiment;
 use crate::hypothesis::EffectAt;
 use crate::library;
 use crate::options::Options;
+use crate::readings::Raw;
 use crate::search::{Fit, fit_hypothesis};
 use crate::setup::Setup;
 use parallax_model::system::Suggestion;
@@ -47,7 +48,8 @@ pub fn propose(
     options: &Options,
     wishes: &Wishes,
 ) -> Result<Design, ProposeError> {
-    let (setup, null) = prepare(equations, experiment, title, options)?;
+    let raw = Raw::of(&equations, &experiment);
+    let (setup, null) = prepare(equations, &experiment, &raw, title, options)?;
     let mut fits = Vec::new();
     for label in effects {
         let forms = named(&setup, label)?;

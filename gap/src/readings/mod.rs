@@ -10,8 +10,11 @@
 //! evidence, as those of the other hypotheses. A model of the mean cannot lower an error that has no mean, so what an
 //! effect explains is its part of the log predictive density of held-out readings.
 
+mod doubt;
+mod kicks;
 pub mod lattice;
 mod local;
+mod lost;
 mod outliers;
 mod peak;
 mod raw;
@@ -24,29 +27,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::report::Value;
 
+pub(crate) use doubt::contradicted;
+pub(crate) use lost::{LostCommands, lost};
+pub(crate) use raw::Raw;
 pub use raw::{Suspicion, Suspicious, cleaned, examine};
 pub use scatter::{over_horizon, scatter};
-
-/// The standard deviation to believe of each output's readings where they show more than the system declares; 0 where
-/// they do not.
-#[must_use]
-pub fn believed(equations: &parallax_model::system::Equations, effects: &[ReadingEffect]) -> Vec<f64> {
-    let of = |output: &str, name: &str, parameter: &str| {
-        let place = format!("output:{output}");
-        let found = effects.iter().find(|e| e.significant && e.name == name && e.place == place)?;
-        Some(found.parameters.get(parameter)?.value)
-    };
-    let outputs = equations.system().outputs.iter();
-    outputs
-        .map(|output| {
-            let beyond = of(&output.name, "noise", "std");
-            let noise = beyond.map_or(0.0, |beyond| beyond.hypot(output.noise.unwrap_or(0.0)));
-            // Rounding to a lattice errs evenly over one step.
-            let rounding = of(&output.name, "quantization", "step").unwrap_or(0.0) / 12.0_f64.sqrt();
-            noise.hypot(rounding)
-        })
-        .collect()
-}
 
 /// Share of the evidence of bad readings, or of times that scatter elsewhere, below which times that scatter are what these
 /// leave behind.

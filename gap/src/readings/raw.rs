@@ -51,6 +51,84 @@ struct Judged {
     suspicious: Vec<Option<Suspicion>>,
 }
 
+/// What the raw readings of all outputs say.
+pub(crate) struct Raw(Vec<Judged>);
+
+impl Raw {
+    /// Of an experiment as it was bound, before readings are thinned.
+    pub(crate) fn of(equations: &Equations, experiment: &Experiment) -> Self {
+        let outputs = equations.system().outputs.iter().enumerate();
+        let judged = outputs.map(|(o, output)| {
+            let (stamp, value) = experiment.output(o);
+            let wrap = experiment.wraps.get(o).copied().flatten();
+            let place = format!("output:{}", output.name);
+            // A quantity with inertia moves smoothly; what shows a command jumps where that does.
+            let smooth = !equations.system().shows_command(o);
+            judge(Local::new(stamp, value, wrap), wrap, smooth, output.noise, &place, &output.unit)
+        });
+        Raw(judged.collect())
+    }
+
+    /// All effects, significant or not.
+    pub(crate) fn effects(&self) -> Vec<ReadingEffect> {
+        self.0.iter().flat_map(|j| j.effects.iter().cloned()).collect()
+    }
+
+    /// Readings of one output that lie far from their neighbours, by their number among its readings.
+    pub(crate) fn outliers(&self, output: usize) -> Vec<usize> {
+        let all = self.0[output].suspicious.iter().enumerate();
+        all.filter(|(_, why)| **why == Some(Suspicion::Outlier)).map(|(k, _)| k).collect()
+    }
+
+    /// Takes back what was said of the noise and of outliers at one output.
+    pub(crate) fn take_back(&mut self, output: usize) {
+        let judged = &mut self.0[output];
+        judged.effects.retain(|e| e.name != "noise" && e.name != "outliers");
+        for why in judged.suspicious.iter_mut().filter(|why| **why == Some(Suspicion::Outlier)) {
+            *why = None;
+        }
+    }
+
+    /// The standard deviation to believe of each output's readings where they show more than the system declares; 0 where
+    /// they do not.
+    pub(crate) fn believed(&self, equations: &Equations) -> Vec<f64> {
+        let outputs = equations.system().outputs.iter().zip(&self.0);
+        outputs
+            .map(|(output, judged)| {
+                let of = |name: &str, parameter: &str| {
+                    let found = judged.effects.iter().find(|e| e.significant && e.name == name)?;
+                    Some(found.parameters.get(parameter)?.value)
+                };
+                let beyond = of("noise", "std");
+                let noise = beyond.map_or(0.0, |beyond| beyond.hypot(output.noise.unwrap_or(0.0)));
+                // Rounding to a lattice errs evenly over one step.
+                let rounding = of("quantization", "step").unwrap_or(0.0) / 12.0_f64.sqrt();
+                noise.hypot(rounding)
+            })
+            .collect()
+    }
+
+    /// The experiment without the readings that should not be fitted, and what was left out.
+    pub(crate) fn cleaned(&self, experiment: &Experiment) -> (Experiment, Vec<Suspicious>) {
+        let mut seen = vec![0; self.0.len()];
+        let mut left_out = Vec::new();
+        for (index, sample) in experiment.samples.iter().enumerate() {
+            let place = seen[sample.output];
+            seen[sample.output] += 1;
+            if let Some(Some(why)) = self.0[sample.output].suspicious.get(place) {
+                left_out.push(Suspicious { sample: index, why: *why });
+            }
+        }
+        let mut kept = experiment.clone();
+        let mut index = 0;
+        kept.samples.retain(|_| {
+            index += 1;
+            left_out.binary_search_by_key(&(index - 1), |s| s.sample).is_err()
+        });
+        (kept, left_out)
+    }
+}
+
 /// Effects at outputs that the raw readings show, significant or not: `quantization`, `stuck`, `outliers`, `drops` and,
 /// where the system declares it, `noise`.
 ///
@@ -58,7 +136,7 @@ struct Judged {
 /// out; so is the noise of an output whose readings move more between samples than they scatter.
 #[must_use]
 pub fn examine(equations: &Equations, experiment: &Experiment) -> Vec<ReadingEffect> {
-    judged(equations, experiment).into_iter().flat_map(|j| j.effects).collect()
+    Raw::of(equations, experiment).effects()
 }
 
 /// The experiment without outliers and stuck readings of outputs that have significantly many, and what was left out.
@@ -66,37 +144,7 @@ pub fn examine(equations: &Equations, experiment: &Experiment) -> Vec<ReadingEff
 /// A fit of the mean takes such readings for motion.
 #[must_use]
 pub fn cleaned(equations: &Equations, experiment: &Experiment) -> (Experiment, Vec<Suspicious>) {
-    let judged = judged(equations, experiment);
-    let mut seen = vec![0; judged.len()];
-    let mut left_out = Vec::new();
-    for (index, sample) in experiment.samples.iter().enumerate() {
-        let place = seen[sample.output];
-        seen[sample.output] += 1;
-        if let Some(Some(why)) = judged[sample.output].suspicious.get(place) {
-            left_out.push(Suspicious { sample: index, why: *why });
-        }
-    }
-    let mut kept = experiment.clone();
-    let mut index = 0;
-    kept.samples.retain(|_| {
-        index += 1;
-        left_out.binary_search_by_key(&(index - 1), |s| s.sample).is_err()
-    });
-    (kept, left_out)
-}
-
-fn judged(equations: &Equations, experiment: &Experiment) -> Vec<Judged> {
-    let outputs = equations.system().outputs.iter().enumerate();
-    outputs
-        .map(|(o, output)| {
-            let (stamp, value) = experiment.output(o);
-            let wrap = experiment.wraps.get(o).copied().flatten();
-            let place = format!("output:{}", output.name);
-            // A quantity with inertia moves smoothly; what shows a command jumps where that does.
-            let smooth = !equations.system().shows_command(o);
-            judge(Local::new(stamp, value, wrap), wrap, smooth, output.noise, &place, &output.unit)
-        })
-        .collect()
+    Raw::of(equations, experiment).cleaned(experiment)
 }
 
 fn judge(

@@ -1,9 +1,9 @@
 //! Times that scatter, and commands that are lost: what they leave in the innovations of a fitted model.
 //!
 //! A reading taken at another time is wrong by its rate times the difference. A command that acts at another time, or is
-//! lost, kicks the plant; how far that moves each innovation is found by running the filter along commands that were
-//! disturbed at random. Either way the innovation's variance grows with the square of that size, reading by reading. A
-//! wrong mean leaves innovations that resemble their neighbours instead, so only white ones are judged.
+//! lost, kicks the plant ([`super::kicks`]). Either way the innovation's variance grows with the square of that size,
+//! reading by reading. A wrong mean leaves innovations that resemble their neighbours instead, so only white ones are
+//! judged.
 
 use parallax_model::effect::Place;
 use parallax_model::effect::PlaceKind;
@@ -11,6 +11,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
+use super::kicks::Kicks;
 use super::peak::peak;
 use super::{LogDensity, ReadingEffect, TRACE, found};
 use crate::experiment::Held;
@@ -22,19 +23,13 @@ use crate::report::Value;
 use crate::search::Fit;
 use crate::setup::Setup;
 use crate::simulator::wrapped;
-use crate::statistics::{median, root_mean_square};
+use crate::statistics::root_mean_square;
 
 /// Correlation of successive innovations up to which they count as free of a wrong mean.
 const WHITE: f64 = 0.25;
 
-/// Disturbed runs whose mean square stands for the variance.
-const RUNS: u64 = 16;
-
 /// Disturbed runs over which errors over the horizon are averaged.
 const HORIZON_RUNS: u64 = 4;
-
-/// Readings on each side over which the mean square is smoothed.
-const SMOOTH: usize = 1;
 
 /// Readings on each side from which the rate of an output is taken.
 const RATE: usize = 2;
@@ -48,8 +43,8 @@ const OPEN: f64 = 12.0;
 /// Periods of a command by which its times may scatter: beyond that it would be another command.
 const MOST_PERIODS: f64 = 5.0;
 
-/// Share of commands that is lost in the disturbed runs.
-const LOST: f64 = 0.1;
+/// Smallest spread of times that is looked for (s).
+const LEAST_SPREAD: f64 = 1e-6;
 
 /// Whitened innovations, and the standard deviation that one unit of an effect adds to each.
 struct Sensitivity {
@@ -71,40 +66,38 @@ pub fn scatter(setup: &Setup, fit: &Fit) -> Vec<ReadingEffect> {
     for (o, output) in system.outputs.iter().enumerate() {
         let place = Place::new(PlaceKind::Output, output.name.clone()).to_string();
         let [Some(train), Some(test)] = passes.each_ref().map(|p| of_reading(setup, p, o)) else { continue };
-        effects.extend(judge("jitter", "spread", "s", (1e-6, f64::MAX), &train, &test, &place));
+        effects.extend(judge_times(&train, &test, &place));
     }
     for (i, input) in system.inputs.iter().enumerate() {
         let place = Place::new(PlaceKind::Input, input.name.clone()).to_string();
-        let times = &setup.experiment.inputs[i].times;
-        let period = median(&mut times.windows(2).map(|w| w[1] - w[0]).collect::<Vec<_>>());
-        if period <= 0.0 {
-            continue;
-        }
-        let disturbed = |change: &Change<'_>, unit: f64| {
-            let both = [0, 1].map(|k| {
-                let walked = |disturbed: &Setup| pass(disturbed, fit, &noise, segments[k]);
-                let squares = disturbances(setup, i, change, &walked, &passes[k])?;
-                of_command(&passes[k], &squares, unit)
-            });
-            let [train, test] = both;
-            Some((train?, test?))
+        let Some(losses) = Kicks::new(setup, fit, &noise, i, f64::INFINITY) else { continue };
+        let period = losses.lateness();
+        // What is late by less than a reading's period has its own shape where commands come more rarely.
+        let short =
+            (period > setup.period).then(|| Kicks::new(setup, fit, &noise, i, setup.period)).flatten();
+        let delays = short.as_ref().unwrap_or(&losses);
+        let (late, lost) = (delays.late(MOST_PERIODS * period), losses.lost());
+        let jitter = Judged {
+            name: "jitter",
+            parameter: "spread",
+            value: Value { value: late.spread, std: late.std, unit: "s".into() },
+            scale: late.spread / delays.lateness(),
+            evidence: -2.0 * late.log_evidence,
         };
-        if let Some((train, test)) = disturbed(&|held, random| late(held, 0.3 * period, random), 0.3 * period)
-        {
-            effects.extend(judge(
-                "jitter",
-                "spread",
-                "s",
-                (1e-6, MOST_PERIODS * period),
-                &train,
-                &test,
-                &place,
-            ));
+        let drops = Judged {
+            name: "drops",
+            parameter: "rate",
+            value: Value { value: lost.rate, std: (lost.rate / lost.of as f64).sqrt(), unit: String::new() },
+            // The variance grows with the rate.
+            scale: lost.rate.sqrt(),
+            // A mean lateness is another effect.
+            evidence: -2.0 * (lost.gain - (late.gain - late.log_evidence).max(0.0)),
+        };
+        // What wants to be larger than it can be is something else.
+        if late.spread < 0.95 * MOST_PERIODS * period {
+            effects.extend(jitter.against(of_commands(setup, delays), &place));
         }
-        // The variance grows with the rate, so that the size is for its root.
-        if let Some((train, test)) = disturbed(&|held, random| lossy(held, LOST, random), LOST.sqrt()) {
-            effects.extend(judge("drops", "rate", "", (1e-3, 0.9), &train, &test, &place));
-        }
+        effects.extend(drops.against(of_commands(setup, &losses), &place));
     }
     let best = |all: &mut dyn Iterator<Item = &ReadingEffect>| all.map(|e| e.evidence).fold(0.0, f64::min);
     let strongest = best(&mut effects.iter());
@@ -190,48 +183,24 @@ fn of_reading(setup: &Setup, pass: &Pass, output: usize) -> Option<Sensitivity> 
     found.usable()
 }
 
-/// Disturbs a command at random.
-type Change<'a> = dyn Fn(&Held, &mut ChaCha8Rng) -> Held + Sync + 'a;
-
-/// Mean square over disturbed runs of what a disturbance of a command adds to each whitened innovation; nothing where
-/// the runs do not predict the same readings.
-fn disturbances(
-    setup: &Setup,
-    input: usize,
-    change: &Change<'_>,
-    walked: &(dyn Fn(&Setup) -> Pass + Sync),
-    plain: &Pass,
-) -> Option<Vec<f64>> {
-    let mut squares = vec![0.0; plain.readings()];
-    let others: Vec<Pass> = (0..RUNS)
-        .into_par_iter()
-        .map(|run| {
-            let mut random = ChaCha8Rng::seed_from_u64(run);
-            let mut disturbed = setup.clone();
-            disturbed.experiment.inputs[input] = change(&setup.experiment.inputs[input], &mut random);
-            walked(&disturbed)
-        })
-        .collect();
-    for other in others {
-        if other.stamp != plain.stamp {
-            return None;
-        }
-        for (k, square) in squares.iter_mut().enumerate() {
-            *square += (other.innovation[k] - plain.innovation[k]).powi(2) / plain.variance[k] / RUNS as f64;
-        }
-    }
-    Some(squares)
+/// The size of what shares of unit variance of all commands leave in each innovation, on time that is fitted and on time
+/// that is held out.
+fn of_commands(setup: &Setup, kicks: &Kicks) -> Option<(Sensitivity, Sensitivity)> {
+    let squares = kicks.squares();
+    let part = |held_out: bool| {
+        let inside = |k: &usize| setup.test.iter().any(|s| (s.from..s.to).contains(&kicks.stamp[*k]));
+        let own: Vec<usize> = (0..kicks.stamp.len()).filter(|k| inside(k) == held_out).collect();
+        let size = own.iter().map(|&k| squares[k].sqrt()).collect();
+        Sensitivity { innovations: own.iter().map(|&k| kicks.whitened[k]).collect(), size }.usable()
+    };
+    Some((part(false)?, part(true)?))
 }
 
-/// The same for one unit of the effect, smoothed over neighbours.
-fn of_command(plain: &Pass, squares: &[f64], unit: f64) -> Option<Sensitivity> {
-    let size = (0..squares.len())
-        .map(|k| {
-            let around = &squares[k.saturating_sub(SMOOTH)..(k + SMOOTH + 1).min(squares.len())];
-            (around.iter().sum::<f64>() / around.len() as f64).sqrt() / unit
-        })
-        .collect();
-    Sensitivity { innovations: plain.whitened(), size }.usable()
+/// Log predictive densities of held-out readings without and with this share of an input's commands lost.
+pub(super) fn density_of_losses(setup: &Setup, fit: &Fit, input: usize, rate: f64) -> Option<LogDensity> {
+    let kicks = Kicks::new(setup, fit, &open_noise(setup, fit), input, f64::INFINITY)?;
+    let (train, test) = of_commands(setup, &kicks)?;
+    Some(densities(&train, &test, rate.sqrt()))
 }
 
 /// Commands that act up to √12 `spread` late or, on average, at their time.
@@ -311,36 +280,48 @@ impl Sensitivity {
     }
 }
 
-fn judge(
-    name: &str,
-    parameter: &str,
-    unit: &str,
-    bounds: (f64, f64),
-    train: &Sensitivity,
-    test: &Sensitivity,
-    place: &str,
-) -> Option<ReadingEffect> {
-    // A rate is the square of its scale.
-    let scale = |value: f64| if name == "drops" { value.sqrt() } else { value };
+/// Mean log predictive density of held-out readings without and with a scatter of this scale.
+fn densities(train: &Sensitivity, test: &Sensitivity, scale: f64) -> LogDensity {
+    let count = test.innovations.len() as f64;
+    let constant = 0.5 * std::f64::consts::TAU.ln();
+    let without = test.log(0.0, train.floor(0.0)) / count - constant;
+    let with = test.log(scale, train.floor(scale)) / count - constant;
+    LogDensity { without, with, best: with.max(without) }
+}
+
+/// What was found of one effect at an input.
+struct Judged {
+    name: &'static str,
+    parameter: &'static str,
+    value: Value,
+    /// Size of the shares of the commands that it leaves.
+    scale: f64,
+    evidence: f64,
+}
+
+impl Judged {
+    fn against(self, parts: Option<(Sensitivity, Sensitivity)>, place: &str) -> Option<ReadingEffect> {
+        let (train, test) = parts?;
+        let density = densities(&train, &test, self.scale);
+        let natural = train.floor(0.0) / root_mean_square(&train.size);
+        let notable = train.is_white() && self.scale > NOTABLE * natural && density.with > density.without;
+        Some(found(self.name, place.into(), (self.parameter, self.value), self.evidence, notable, density))
+    }
+}
+
+/// Times of readings that scatter.
+fn judge_times(train: &Sensitivity, test: &Sensitivity, place: &str) -> Option<ReadingEffect> {
     let plain = train.floor(0.0);
     let null = train.log(0.0, plain);
-    // The scale at which it would double the variance, and a factor of a hundred on both sides.
+    // The spread at which it would double the variance, and a factor of a hundred on both sides.
     let natural = plain / root_mean_square(&train.size);
-    let natural_value = if name == "drops" { natural * natural } else { natural };
-    let (low, high) = ((1e-2 * natural_value).max(bounds.0), (1e2 * natural_value).min(bounds.1));
+    let (low, high) = ((1e-2 * natural).max(LEAST_SPREAD), 1e2 * natural);
     if low >= high {
         return None;
     }
-    let at = peak(low, high, |value| train.log(scale(value), train.floor(scale(value))) - null);
-    let floor = train.floor(scale(at.value));
-    let count = test.innovations.len() as f64;
-    let constant = 0.5 * std::f64::consts::TAU.ln();
-    let without = test.log(0.0, plain) / count - constant;
-    let with = test.log(scale(at.value), floor) / count - constant;
-    let density = LogDensity { without, with, best: with.max(without) };
-    let value = Value { value: at.value, std: at.std, unit: unit.into() };
-    // What wants to be larger than it can be is something else.
-    let inside = at.value < 0.95 * bounds.1;
-    let notable = inside && train.is_white() && scale(at.value) > NOTABLE * natural && with > without;
-    Some(found(name, place.into(), (parameter, value), -2.0 * at.log_evidence, notable, density))
+    let at = peak(low, high, |spread| train.log(spread, train.floor(spread)) - null);
+    let density = densities(train, test, at.value);
+    let value = Value { value: at.value, std: at.std, unit: "s".into() };
+    let notable = train.is_white() && at.value > NOTABLE * natural && density.with > density.without;
+    Some(found("jitter", place.into(), ("spread", value), -2.0 * at.log_evidence, notable, density))
 }

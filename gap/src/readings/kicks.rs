@@ -1,0 +1,479 @@
+//! What each single command leaves in the innovations: the difference that it makes if the one before it stays in force
+//! for one more period.
+//!
+//! A command that is lost leaves all of that difference, one that is late a share of it, and one that arrives in time
+//! none. The shares that the innovations show tell lost commands from late ones, which their variance alone does not.
+//! Responses of commands that follow each other overlap, so that all shares are judged together: Gaussian shares exactly,
+//! by the marginal likelihood of a linear model with a banded information matrix (Rasmussen & Williams 2006, section 2.1);
+//! shares of nothing or everything by variational inference (spike and slab: Carbonetto & Stephens 2012).
+
+use rayon::prelude::*;
+
+use crate::experiment::Held;
+use crate::filter::Noise;
+use crate::innovation::{Segment, walk_plain};
+use crate::library;
+use crate::search::Fit;
+use crate::setup::Setup;
+use crate::statistics::median;
+
+/// Runs in which every command is held once, at most.
+const RUNS: f64 = 32.0;
+
+/// Readings of the fastest output that a command's response covers, at least.
+const COVERED: f64 = 8.0;
+
+/// Sweeps of the variational inference, at most.
+const SWEEPS: usize = 60;
+
+/// Change of a probability that ends the sweeps.
+const SETTLED: f64 = 1e-4;
+
+/// Share of commands that is lost, where the inference begins.
+const FIRST_RATE: f64 = 0.05;
+
+/// Points at which a spread is tried first, and steps of the search between the best of them.
+const GRID: usize = 17;
+const GOLDEN: usize = 10;
+
+/// A command whose value differs from the one before.
+#[derive(Clone, Debug)]
+struct Kick {
+    /// Its index among the commands.
+    command: usize,
+    /// By how much it was late (s).
+    late: f64,
+    /// Index of the first reading after it, in the order of their stamps.
+    first: usize,
+    /// What holding the command before it adds to each whitened innovation from there on, with the sign reversed.
+    response: Vec<f64>,
+}
+
+/// All kicks of one input, beside the innovations.
+#[derive(Clone, Debug)]
+pub(super) struct Kicks {
+    kicks: Vec<Kick>,
+    /// Number of readings, and the sum of their squared whitened innovations.
+    readings: usize,
+    energy: f64,
+    /// Order of the readings by stamp, and the stamps (s) and whitened innovations as the walk gave them.
+    order: Vec<usize>,
+    pub(super) stamp: Vec<f64>,
+    pub(super) whitened: Vec<f64>,
+    /// ⟨response k, innovations⟩.
+    along: Vec<f64>,
+    /// ⟨response k, response k + d⟩ for each k and d.
+    gram: Vec<Vec<f64>>,
+}
+
+/// What the innovations say of commands that are late by chance.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Late {
+    /// Standard deviation of the time by which they are late (s), and that of this estimate.
+    pub(super) spread: f64,
+    pub(super) std: f64,
+    /// Log evidence against commands that are all late by the same time.
+    pub(super) log_evidence: f64,
+    /// Log likelihood at the peak against commands in time.
+    pub(super) gain: f64,
+}
+
+/// What the innovations say of commands that are lost.
+#[derive(Clone, Debug)]
+pub(super) struct Lost {
+    /// Share of commands that is lost.
+    pub(super) rate: f64,
+    /// Commands that are likelier lost than not, by their index.
+    pub(super) commands: Vec<usize>,
+    /// A lower bound of the log likelihood against commands that all arrive.
+    pub(super) gain: f64,
+    /// Commands whose loss would show.
+    pub(super) of: usize,
+}
+
+impl Kicks {
+    /// From walks of a fitted model along the whole log, under its commands and under others, each of which comes `late`
+    /// (s), or not at all where that is its whole period.
+    ///
+    /// Nothing where the commands hardly change.
+    pub(super) fn new(setup: &Setup, fit: &Fit, noise: &Noise, input: usize, late: f64) -> Option<Self> {
+        let all: Vec<Segment> = setup.train.iter().chain(&setup.test).cloned().collect();
+        let walked = |setup: &Setup| {
+            let simulator = library::simulator(setup, &fit.hypothesis, fit.residuals.clone());
+            walk_plain(&simulator, &all, &setup.noise, noise, fit.theta())
+        };
+        let plain = walked(setup);
+        let held = &setup.experiment.inputs[input];
+        let changes: Vec<usize> =
+            (1..held.values.len()).filter(|k| held.values[*k] != held.values[*k - 1]).collect();
+        let mut between: Vec<f64> = changes.windows(2).map(|c| held.times[c[1]] - held.times[c[0]]).collect();
+        if between.len() < 10 {
+            return None;
+        }
+        let memory = setup.horizon.min(RUNS * median(&mut between)).max(COVERED * setup.period);
+        let runs = combs(held, &changes, memory);
+        let until_next = |k: usize| held.times.get(k + 1).map_or(0.0, |next| next - held.times[k]);
+        let lateness = |k: usize| until_next(k).min(late);
+        let mut order: Vec<usize> = (0..plain.readings()).collect();
+        order.sort_by(|a, b| plain.stamp[*a].total_cmp(&plain.stamp[*b]));
+        let stamps: Vec<f64> = order.iter().map(|k| plain.stamp[*k]).collect();
+        let found: Vec<Option<Vec<Kick>>> = runs
+            .par_iter()
+            .map(|run| {
+                let mut disturbed = setup.clone();
+                for &k in run {
+                    let other = &mut disturbed.experiment.inputs[input];
+                    if lateness(k) < until_next(k) {
+                        other.times[k] += lateness(k);
+                    } else {
+                        other.values[k] = held.values[k - 1];
+                    }
+                }
+                let other = walked(&disturbed);
+                (other.stamp == plain.stamp).then(|| {
+                    let kick = |(number, &k): (usize, &usize)| {
+                        let until = run.get(number + 1).map_or(f64::INFINITY, |next| held.times[*next]);
+                        let first = stamps.partition_point(|s| *s <= held.times[k]);
+                        let end = stamps.partition_point(|s| *s <= until.min(held.times[k] + memory));
+                        let change = |&r: &usize| {
+                            (plain.innovation[r] - other.innovation[r]) / plain.variance[r].sqrt()
+                        };
+                        let response = order[first..end].iter().map(change).collect();
+                        Kick { command: k, late: lateness(k), first, response }
+                    };
+                    run.iter().enumerate().map(kick).collect()
+                })
+            })
+            .collect();
+        let mut kicks: Vec<Kick> = found.into_iter().collect::<Option<Vec<_>>>()?.concat();
+        kicks.retain(|kick| kick.late > 0.0 && !kick.response.is_empty());
+        kicks.sort_by_key(|kick| kick.command);
+        let whitened = plain.whitened();
+        let innovations: Vec<f64> = order.iter().map(|k| whitened[*k]).collect();
+        let finite = innovations.iter().chain(kicks.iter().flat_map(|k| &k.response)).all(|v| v.is_finite());
+        if kicks.len() < 10 || !finite {
+            return None;
+        }
+        let along = kicks.iter().map(|k| dot(&k.response, &innovations[k.first..])).collect();
+        let gram = (0..kicks.len())
+            .map(|k| {
+                let own = &kicks[k];
+                let later = kicks[k..].iter().take_while(|o| o.first < own.first + own.response.len());
+                later.map(|o| dot(&own.response[o.first - own.first..], &o.response)).collect()
+            })
+            .collect();
+        let energy = innovations.iter().map(|e| e * e).sum();
+        Some(Kicks {
+            kicks,
+            readings: innovations.len(),
+            energy,
+            order,
+            stamp: plain.stamp,
+            whitened,
+            along,
+            gram,
+        })
+    }
+
+    /// Sum over all commands of the squared response of each reading, in the order of the walk: the variance that shares
+    /// of unit variance add.
+    pub(super) fn squares(&self) -> Vec<f64> {
+        let mut squares = vec![0.0; self.readings];
+        for kick in &self.kicks {
+            for (at, r) in self.order[kick.first..].iter().zip(&kick.response) {
+                squares[*at] += r * r;
+            }
+        }
+        squares
+    }
+
+    /// By how much commands were late, half of them more (s).
+    pub(super) fn lateness(&self) -> f64 {
+        median(&mut self.kicks.iter().map(|k| k.late).collect::<Vec<_>>())
+    }
+
+    /// G x.
+    fn by_gram(&self, x: &[f64]) -> Vec<f64> {
+        let mut out = vec![0.0; x.len()];
+        for (k, row) in self.gram.iter().enumerate() {
+            out[k] += row[0] * x[k];
+            for (d, g) in row.iter().enumerate().skip(1) {
+                out[k] += g * x[k + d];
+                out[k + d] += g * x[k];
+            }
+        }
+        out
+    }
+
+    /// −2 log likelihood, up to a constant, of shares of any mean and of the given standard deviation in units of the
+    /// innovations' own, which is free as well and comes with it, squared.
+    fn cost(&self, ratio: f64) -> (f64, f64) {
+        let ones = self.by_gram(&vec![1.0; self.kicks.len()]);
+        let total: f64 = ones.iter().sum();
+        let (mut ee, mut em, mut mm) = (self.energy, self.along.iter().sum::<f64>(), total);
+        let mut volume = 0.0;
+        if ratio > 0.0 {
+            let precision = ratio.powi(-2);
+            let Some(band) = Cholesky::new(&self.gram, precision) else {
+                return (f64::INFINITY, 1.0);
+            };
+            let (e, m) = (band.half(&self.along), band.half(&ones));
+            ee -= dot(&e, &e);
+            em -= dot(&e, &m);
+            mm -= dot(&m, &m);
+            volume = band.log_determinant - self.kicks.len() as f64 * precision.ln();
+        }
+        let left = if mm > 0.0 { ee - em * em / mm } else { ee };
+        let n = self.readings as f64;
+        let variance = left.max(1e-9) / n;
+        (n * variance.ln() + volume, variance)
+    }
+
+    /// −2 log likelihood of commands that are all in time.
+    fn in_time(&self) -> f64 {
+        let n = self.readings as f64;
+        n * (self.energy / n).ln()
+    }
+
+    /// Commands that are late by a time of any mean that scatters.
+    pub(super) fn late(&self, most: f64) -> Late {
+        let unit = self.lateness();
+        // From where it changes nothing to where commands are others.
+        let typical = (self.readings as f64 / self.gram.iter().map(|row| row[0]).sum::<f64>()).sqrt();
+        let (low, high) = ((1e-2 * typical).ln(), (1e2 * typical).min(most / unit).ln());
+        if low >= high {
+            return Late { spread: 0.0, std: 0.0, log_evidence: f64::NEG_INFINITY, gain: 0.0 };
+        }
+        let at = |x: f64| -0.5 * self.cost(x.exp()).0;
+        let step = (high - low) / (GRID - 1) as f64;
+        let grid: Vec<(f64, f64)> = (0..GRID).map(|k| low + k as f64 * step).map(|x| (x, at(x))).collect();
+        let best = grid.iter().max_by(|a, b| a.1.total_cmp(&b.1)).map_or(low, |p| p.0);
+        let share = 0.5 * (5.0_f64.sqrt() - 1.0);
+        let (mut a, mut b) = ((best - step).max(low), (best + step).min(high));
+        for _ in 0..GOLDEN {
+            let (left, right) = (b - share * (b - a), a + share * (b - a));
+            if at(left) > at(right) { b = right } else { a = left }
+        }
+        let x = 0.5 * (a + b);
+        let top = at(x);
+        // The curvature over a step in which the likelihood changes visibly.
+        let near = 0.1;
+        let curvature = (2.0 * top - at(x - near) - at(x + near)) / (near * near);
+        let width = if curvature > 0.0 { curvature.powf(-0.5).min(high - low) } else { high - low };
+        let log_evidence =
+            top - at(f64::NEG_INFINITY) + (std::f64::consts::TAU.sqrt() * width / (high - low)).min(1.0).ln();
+        let spread = x.exp() * self.cost(x.exp()).1.sqrt() * unit;
+        Late { spread, std: width * spread, log_evidence, gain: top + 0.5 * self.in_time() }
+    }
+
+    /// Commands of which some are lost: one p for each, in a factorised posterior.
+    pub(super) fn lost(&self) -> Lost {
+        let n = self.readings as f64;
+        let count = self.kicks.len() as f64;
+        let mut variance = self.energy / n;
+        let (mut rate, mut p) = (FIRST_RATE, vec![FIRST_RATE; self.kicks.len()]);
+        // What the probabilities of the others leave along each response.
+        let mut along = self.by_gram(&p);
+        for _ in 0..SWEEPS {
+            let mut moved: f64 = 0.0;
+            let odds = (rate / (1.0 - rate)).ln();
+            for k in 0..p.len() {
+                let own = self.gram[k][0];
+                let left = self.along[k] - along[k] + own * p[k];
+                let fresh = 1.0 / (1.0 + (-(odds + (left - 0.5 * own) / variance)).exp());
+                let change = fresh - p[k];
+                if change != 0.0 {
+                    self.shift(&mut along, k, change);
+                    p[k] = fresh;
+                    moved = moved.max(change.abs());
+                }
+            }
+            rate = (p.iter().sum::<f64>() / count).clamp(0.5 / count, 0.9);
+            variance = self.left(&p, &along) / n;
+            if moved < SETTLED {
+                break;
+            }
+        }
+        let entropy = |p: f64| if p > 0.0 { -p * p.ln() } else { 0.0 };
+        let given = |p: f64| p * rate.ln() + (1.0 - p) * (1.0 - rate).ln() + entropy(p) + entropy(1.0 - p);
+        let gain = -0.5 * n * variance.ln() + p.iter().map(|p| given(*p)).sum::<f64>() + 0.5 * self.in_time()
+            // What is paid for the rate.
+            - 0.5 * count.ln();
+        let likelier = self.kicks.iter().zip(&p).filter(|(_, p)| **p > 0.5);
+        Lost { rate, commands: likelier.map(|(kick, _)| kick.command).collect(), gain, of: p.len() }
+    }
+
+    /// Adds `change` times the k-th column of G.
+    fn shift(&self, along: &mut [f64], k: usize, change: f64) {
+        for (d, g) in self.gram[k].iter().enumerate() {
+            along[k + d] += change * g;
+        }
+        for before in (0..k).rev().take(self.width()) {
+            if let Some(g) = self.gram[before].get(k - before) {
+                along[before] += change * g;
+            }
+        }
+    }
+
+    fn width(&self) -> usize {
+        self.gram.iter().map(Vec::len).max().unwrap_or(0)
+    }
+
+    /// The expected squared innovations that shares of these probabilities leave; `along` is G p.
+    fn left(&self, p: &[f64], along: &[f64]) -> f64 {
+        let doubt: f64 = p.iter().zip(&self.gram).map(|(p, row)| p * (1.0 - p) * row[0]).sum();
+        (self.energy - 2.0 * dot(p, &self.along) + dot(p, along) + doubt).max(1e-9 * self.energy)
+    }
+}
+
+/// Deals the changes to runs, so that within each no two come closer than `memory` (s).
+fn combs(held: &Held, changes: &[usize], memory: f64) -> Vec<Vec<usize>> {
+    let mut runs: Vec<Vec<usize>> = Vec::new();
+    for &k in changes {
+        let free =
+            |run: &&mut Vec<usize>| run.last().is_none_or(|last| held.times[k] - held.times[*last] >= memory);
+        match runs.iter_mut().find(free) {
+            Some(run) => run.push(k),
+            None => runs.push(vec![k]),
+        }
+    }
+    runs
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// The Cholesky factor of a banded matrix, row by row from the diagonal on.
+struct Cholesky {
+    rows: Vec<Vec<f64>>,
+    log_determinant: f64,
+}
+
+impl Cholesky {
+    /// Of G + λ I. Nothing where that is not positive.
+    fn new(gram: &[Vec<f64>], diagonal: f64) -> Option<Self> {
+        // Uᵀ U, by outer products: row k of U, then what it takes from the rows below.
+        let mut rows: Vec<Vec<f64>> = gram.to_vec();
+        let mut log_determinant = 0.0;
+        for row in &mut rows {
+            row[0] += diagonal;
+        }
+        for k in 0..rows.len() {
+            let (head, tail) = rows.split_at_mut(k + 1);
+            let own = &mut head[k];
+            if own[0].is_nan() || own[0] <= 0.0 {
+                return None;
+            }
+            log_determinant += own[0].ln();
+            let root = own[0].sqrt();
+            own.iter_mut().for_each(|v| *v /= root);
+            for d in 1..own.len() {
+                let below = &mut tail[d - 1];
+                // Responses end at different times: what one fills in may lie beyond the next one's own band.
+                if below.len() < own.len() - d {
+                    below.resize(own.len() - d, 0.0);
+                }
+                for (v, later) in below.iter_mut().zip(&own[d..]) {
+                    *v -= own[d] * later;
+                }
+            }
+        }
+        Some(Cholesky { rows, log_determinant })
+    }
+
+    /// U⁻ᵀ x: its square is xᵀ (G + λ I)⁻¹ x.
+    fn half(&self, x: &[f64]) -> Vec<f64> {
+        let mut out = x.to_vec();
+        for (k, row) in self.rows.iter().enumerate() {
+            out[k] /= row[0];
+            for (d, u) in row.iter().enumerate().skip(1) {
+                out[k + d] -= u * out[k];
+            }
+        }
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    use super::*;
+
+    /// Commands whose responses fade over a few readings, with shares that `share` draws.
+    fn kicks(share: impl Fn(&mut ChaCha8Rng) -> f64, size: f64) -> Kicks {
+        let mut random = ChaCha8Rng::seed_from_u64(5);
+        let (count, length) = (400_usize, 6_usize);
+        let readings = count + length;
+        let mut innovations: Vec<f64> = (0..readings).map(|_| StandardNormal.sample(&mut random)).collect();
+        let mut kicks = Vec::new();
+        for k in 0..count {
+            let height: f64 = StandardNormal.sample(&mut random);
+            let response: Vec<f64> = (0..length).map(|i| size * height * 0.6_f64.powi(i as i32)).collect();
+            let share = share(&mut random);
+            for (e, r) in innovations[k..].iter_mut().zip(&response) {
+                *e += share * r;
+            }
+            kicks.push(Kick { command: k + 1, late: 0.01, first: k, response });
+        }
+        let along = kicks.iter().map(|k| dot(&k.response, &innovations[k.first..])).collect();
+        let gram = (0..count)
+            .map(|k| {
+                let later = kicks[k..].iter().take_while(|o| o.first < k + length);
+                later.map(|o| dot(&kicks[k].response[o.first - k..], &o.response)).collect()
+            })
+            .collect();
+        let energy = innovations.iter().map(|e| e * e).sum();
+        let stamp = (0..readings).map(|k| 0.01 * k as f64).collect();
+        Kicks {
+            kicks,
+            readings,
+            energy,
+            order: (0..readings).collect(),
+            stamp,
+            whitened: innovations,
+            along,
+            gram,
+        }
+    }
+
+    #[test]
+    fn lost_commands_are_told_from_late_ones_and_from_none() {
+        let lossy = kicks(|random| f64::from(u8::from(random.random_bool(0.06))), 6.0);
+        let (lost, late) = (lossy.lost(), lossy.late(0.05));
+        assert!(lost.gain > late.gain + 20.0, "{} against {}", lost.gain, late.gain);
+        assert!((lost.rate - 0.06).abs() < 0.03, "{}", lost.rate);
+
+        let tardy = kicks(|random| random.random_range(0.0..0.6), 3.0);
+        let (lost, late) = (tardy.lost(), tardy.late(0.05));
+        assert!(late.gain > lost.gain + 20.0, "{} against {}", late.gain, lost.gain);
+        // Evenly over six tenths of a period of 10 ms.
+        let spread = 0.01 * 0.6 / 12.0_f64.sqrt();
+        assert!((late.spread / spread - 1.0).abs() < 0.3, "{} against {spread}", late.spread);
+        assert!(late.log_evidence > 20.0);
+
+        let punctual = kicks(|_| 0.0, 3.0);
+        assert!(punctual.lost().gain < 3.0 && punctual.late(0.05).log_evidence < 1.0);
+    }
+
+    #[test]
+    fn commands_that_are_all_late_by_the_same_time_do_not_scatter() {
+        let delayed = kicks(|_| 0.5, 3.0);
+        let late = delayed.late(0.05);
+        assert!(late.log_evidence < 2.0 && late.gain > 50.0, "{late:?}");
+        assert!(delayed.lost().gain < late.gain - 10.0);
+    }
+
+    #[test]
+    fn the_banded_factor_solves() {
+        let kicks = kicks(|_| 0.0, 1.0);
+        let x: Vec<f64> = (0..400).map(|k| (k as f64 * 0.37).sin()).collect();
+        let mut right = kicks.by_gram(&x);
+        right.iter_mut().zip(&x).for_each(|(r, x)| *r += 0.5 * x);
+        let half = Cholesky::new(&kicks.gram, 0.5).unwrap().half(&right);
+        assert!((dot(&half, &half) - dot(&right, &x)).abs() < 1e-8);
+    }
+}
