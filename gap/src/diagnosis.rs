@@ -256,6 +256,9 @@ struct Found {
 /// Error of predictions on held-out time, in noise units, up to which their mean counts as explained.
 const MEAN_EXPLAINED: f64 = 3.0;
 
+/// Share of a noise that must be left beside times that scatter for it to be a cause of its own.
+const OWN_NOISE: f64 = 0.5;
+
 /// Share of the squared error on held-out time that a residual must leave for the rest to count as chance.
 const CHANCE: f64 = 0.5;
 
@@ -333,12 +336,24 @@ fn conclude(title: &str, options: &Options, found: Found, lost: Option<LostComma
         let effects = if detected && named { &best.hypothesis.effects[..] } else { &[] };
         effects.iter().any(|at| at.effect == Effect::SensorSaturation && at.place.to_string() == r.place)
     };
+    // Times that scatter look like noise to those who do not know how fast the reading moves.
+    let of_times = |r: &ReadingEffect| {
+        let jitter = readings.iter().find(|j| j.significant && j.name == "jitter" && j.place == r.place);
+        let output = system.outputs.iter().position(|o| r.place == format!("output:{}", o.name));
+        let (Some(jitter), Some(output), "noise") = (jitter, output, r.name.as_str()) else { return false };
+        let spread = jitter.parameters.get("spread").map_or(0.0, |spread| spread.value);
+        let declared = system.outputs[output].noise.unwrap_or(f64::INFINITY);
+        let alleged = r.parameters.get("std").map_or(0.0, |std| std.value);
+        let least = declared.hypot(OWN_NOISE * alleged);
+        readings::noise_beside(setup, shown, output, spread).is_some_and(|std| std < least)
+    };
     let mut causes: Vec<ReadingEffect> = readings
         .iter()
         .filter(|r| r.significant && (at_input(r) || mean_explained))
         // The corners of a clipped reading look like outliers and bad times, and losses that were missed like late commands.
         .filter(|r| {
             !clipped(r)
+                && !of_times(r)
                 && lost.as_ref().is_none_or(|lost| lost.effect.place != r.place)
                 && !readings::is_trace(r, &readings)
         })

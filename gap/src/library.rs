@@ -230,11 +230,9 @@ pub fn extra_std(setup: &Setup, plant: &Plant) -> Vec<f64> {
         .iter()
         .map(|state| match *state {
             // As far as a reading goes in a twentieth of a second.
+            ExtraState::ReadingRate { output, .. } => output_rate(setup, output),
             ExtraState::Reading { output, .. } => {
-                let (_, values) = setup.experiment.output(output);
-                let values = crate::noise::unwrapped(&values, setup.experiment.wraps[output]);
-                let steps: Vec<f64> = values.windows(2).map(|w| w[1] - w[0]).collect();
-                let rate = crate::statistics::root_mean_square(&steps) / setup.period;
+                let rate = output_rate(setup, output);
                 (0.05 * rate).min(0.3 * setup.output_scale[output]).max(setup.output_noise[output])
             }
             // As far as the driving force bends a spring that swings in the middle of what can be seen.
@@ -242,4 +240,12 @@ pub fn extra_std(setup: &Setup, plant: &Plant) -> Vec<f64> {
             ExtraState::DeflectionRate { joint, .. } => sizes::deflection(setup, joint).1,
         })
         .collect()
+}
+
+/// Root mean square of how fast an output's readings change, in its unit per second.
+fn output_rate(setup: &Setup, output: usize) -> f64 {
+    let (_, values) = setup.experiment.output(output);
+    let values = crate::noise::unwrapped(&values, setup.experiment.wraps[output]);
+    let steps: Vec<f64> = values.windows(2).map(|w| w[1] - w[0]).collect();
+    crate::statistics::root_mean_square(&steps) / setup.period
 }

@@ -52,6 +52,7 @@ const CASES: &[(Effect, PlaceKind, usize, &[f64])] = &[
     (Effect::Scale, PlaceKind::Output, 0, &[1.1]),
     (Effect::Drift, PlaceKind::Output, 0, &[0.2]),
     (Effect::SensorLag, PlaceKind::Output, 0, &[0.023]),
+    (Effect::SensorLagSecondOrder, PlaceKind::Output, 0, &[0.023, 0.8]),
     (Effect::SensorSaturation, PlaceKind::Output, 0, &[0.03, 0.21]),
     (Effect::Saturation, PlaceKind::State, 1, &[-0.5, 1.1]),
 ];

@@ -4,16 +4,19 @@
 //! that of a first-order plant under a command in steps, looks like noise and outliers. A model that predicts the same
 //! readings better than their alleged noise allows proves otherwise: an innovation contains all of a reading's error.
 
-use super::Raw;
+use super::{Raw, scatter};
 use crate::experiment::Experiment;
 use crate::innovation::{Segment, walk_plain};
 use crate::library;
 use crate::search::Fit;
 use crate::setup::Setup;
-use crate::statistics::median;
+use crate::statistics::{median, root_mean_square};
 
-/// Share of the alleged variance below which the innovations' mean square contradicts it.
-const LESS: f64 = 0.7;
+/// Share of the alleged variance below which the innovations' variance contradicts it.
+const LESS: f64 = 0.6;
+
+/// Share of the innovations, the largest, that are not looked at: they hold 14 % of a normal distribution's variance.
+const EVENTS: f64 = 0.02;
 
 /// Size, in the sensor's noise, below which the median innovation at alleged outliers says that they are none.
 const NEAR: f64 = 3.0;
@@ -40,6 +43,10 @@ pub(crate) fn contradicted(setup: &Setup, raw: &Raw, recorded: &Experiment, fits
     };
     let passes: Vec<_> = fits.iter().map(|fit| errors(fit)).collect();
     let is_contradicted = |output: usize| {
+        // Times that scatter make readings noisier only where they change fast.
+        if fits.iter().any(|fit| scatter::times_scatter(setup, fit, output)) {
+            return false;
+        }
         let stamps = recorded.output(output).0;
         let suspects: Vec<f64> = raw.outliers(output).into_iter().map(|k| stamps[k]).collect();
         passes.iter().any(|pass| {
@@ -47,9 +54,12 @@ pub(crate) fn contradicted(setup: &Setup, raw: &Raw, recorded: &Experiment, fits
             let suspect = |k: &usize| suspects.binary_search_by(|s| s.total_cmp(&pass.stamp[*k])).is_ok();
             let (at, others): (Vec<usize>, Vec<usize>) = own.partition(suspect);
             let size = |k: &usize| pass.innovation[*k].abs();
-            let mean_square =
-                others.iter().map(|k| size(k).powi(2)).sum::<f64>() / others.len().max(1) as f64;
-            let no_noise = alleged(output, "noise") && mean_square < LESS * believed[output].powi(2);
+            // Single events that the model misses are no noise either.
+            let mut sizes: Vec<f64> = others.iter().map(size).collect();
+            sizes.sort_by(f64::total_cmp);
+            sizes.truncate(((1.0 - EVENTS) * sizes.len() as f64) as usize);
+            let no_noise = alleged(output, "noise")
+                && root_mean_square(&sizes).powi(2) < LESS * believed[output].powi(2);
             let typical = median(&mut at.iter().map(size).collect::<Vec<_>>());
             let no_outliers =
                 alleged(output, "outliers") && !at.is_empty() && typical < NEAR * plain.output_noise[output];

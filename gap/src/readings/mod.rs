@@ -31,6 +31,7 @@ pub(crate) use doubt::contradicted;
 pub(crate) use lost::{LostCommands, lost};
 pub(crate) use raw::Raw;
 pub use raw::{Suspicion, Suspicious, cleaned, examine};
+pub(crate) use scatter::noise_beside;
 pub use scatter::{over_horizon, scatter};
 
 /// Share of the evidence of bad readings, or of times that scatter elsewhere, below which times that scatter are what these

@@ -23,7 +23,7 @@ use crate::report::Value;
 use crate::search::Fit;
 use crate::setup::Setup;
 use crate::simulator::wrapped;
-use crate::statistics::root_mean_square;
+use crate::statistics::{median, root_mean_square};
 
 /// Correlation of successive innovations up to which they count as free of a wrong mean.
 const WHITE: f64 = 0.25;
@@ -107,6 +107,26 @@ pub fn scatter(setup: &Setup, fit: &Fit) -> Vec<ReadingEffect> {
         effect.significant &= effect.evidence <= here && effect.evidence < TRACE * strongest;
     }
     effects
+}
+
+/// Whether the times of one output's readings scatter under a fitted model of the mean.
+pub(super) fn times_scatter(setup: &Setup, fit: &Fit, output: usize) -> bool {
+    let noise = open_noise(setup, fit);
+    let parts = [&setup.train, &setup.test].map(|s| of_reading(setup, &pass(setup, fit, &noise, s), output));
+    match parts {
+        [Some(train), Some(test)] => judge_times(&train, &test, "").is_some_and(|jitter| jitter.significant),
+        _ => false,
+    }
+}
+
+/// The noise of one output's readings (standard deviation) where their times scatter by `spread` (s): what scatter leaves
+/// of the innovations.
+pub(crate) fn noise_beside(setup: &Setup, fit: &Fit, output: usize, spread: f64) -> Option<f64> {
+    let pass = pass(setup, fit, &open_noise(setup, fit), &setup.train);
+    let floor = of_reading(setup, &pass, output)?.floor(spread);
+    let own = (0..pass.readings()).filter(|k| pass.output[*k] == output);
+    let variance = median(&mut own.map(|k| pass.variance[k]).collect::<Vec<_>>());
+    Some(floor * variance.sqrt())
 }
 
 /// What commands that scatter so do to predictions over the horizon on held-out time: the mean square of the change, in

@@ -123,6 +123,8 @@ pub(super) const fn of(effect: Effect) -> Entry {
         Effect::Scale => entry("scale", "reads with another scale", OUTPUT, const { &[within("scale", Q::Ratio, 1.0, -10.0, 10.0)] }),
         Effect::Drift => entry("drift", "reads with an error that grows in time", OUTPUT, const { &[signed("rate", Q::ReadingRate)] }),
         Effect::SensorLag => entry("sensor_lag", "shows the truth sluggishly", OUTPUT, const { &[positive("time_constant", Q::Time)] }),
+        Effect::SensorLagSecondOrder => entry("sensor_lag", "shows the truth sluggishly, as a second-order system", OUTPUT,
+            const { &[positive("time_constant", Q::Time), within("damping", Q::Damping, 1.0, 0.05, 3.0)] }),
         Effect::SensorSaturation => entry("sensor_saturation", "cannot read beyond its limits", OUTPUT, LEVELS),
         Effect::Noise => entry("noise", "is noisier than stated", OUTPUT, const { &[positive("std", Q::Reading)] }),
         Effect::Quantization => entry("quantization", "reads in steps", OUTPUT, const { &[positive("step", Q::Reading)] }),

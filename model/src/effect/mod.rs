@@ -107,6 +107,8 @@ pub enum Effect {
     Drift,
     /// A first-order low-pass on a reading.
     SensorLag,
+    /// A second-order low-pass on a reading.
+    SensorLagSecondOrder,
     /// A reading clipped to `[low, high]`.
     SensorSaturation,
     /// A parameter of the nominal model that has another value.
@@ -216,7 +218,7 @@ pub struct EffectParameter {
 
 impl Effect {
     /// Every effect there is, in every form.
-    pub const ALL: [Effect; 45] = [
+    pub const ALL: [Effect; 46] = [
         Effect::Delay,
         Effect::Lag,
         Effect::LagSecondOrder,
@@ -254,6 +256,7 @@ impl Effect {
         Effect::Scale,
         Effect::Drift,
         Effect::SensorLag,
+        Effect::SensorLagSecondOrder,
         Effect::SensorSaturation,
         Effect::Parameter,
         Effect::Jitter,
@@ -314,6 +317,7 @@ impl Effect {
     pub const fn simpler(self) -> &'static [Effect] {
         match self {
             Effect::LagSecondOrder => &[Effect::Lag],
+            Effect::SensorLagSecondOrder => &[Effect::SensorLag],
             Effect::SaturationSoft => &[Effect::Saturation],
             Effect::Stribeck | Effect::AsymmetricFriction => &[Effect::Coulomb],
             Effect::AsymmetricViscous => &[Effect::Viscous],
@@ -348,7 +352,7 @@ impl Effect {
     #[must_use]
     pub const fn stage(self) -> u8 {
         match self {
-            Effect::Gain | Effect::SensorLag => 0,
+            Effect::Gain | Effect::SensorLag | Effect::SensorLagSecondOrder => 0,
             Effect::Offset | Effect::Scale => 1,
             Effect::SupplySag | Effect::SupplySagLoad | Effect::Bias => 2,
             Effect::Saturation | Effect::SaturationSoft | Effect::Drift => 3,

@@ -17,6 +17,14 @@ pub enum ExtraState {
         /// Index of the output.
         output: usize,
     },
+    /// How fast what a lagging sensor of second order shows changes, in the output's unit per second; it follows the
+    /// [`ExtraState::Reading`] of the same effect.
+    ReadingRate {
+        /// Index among the plant's effects.
+        effect: usize,
+        /// Index of the output.
+        output: usize,
+    },
     /// How far the far side of a spring is ahead of its joint, in the joint's unit.
     Deflection {
         /// Index among the plant's effects.
@@ -43,6 +51,10 @@ pub(super) fn of(effects: &[BoundEffect]) -> Vec<ExtraState> {
     for (effect, bound) in effects.iter().enumerate() {
         match bound.effect {
             Effect::SensorLag => states.push(ExtraState::Reading { effect, output: bound.index }),
+            Effect::SensorLagSecondOrder => states.extend([
+                ExtraState::Reading { effect, output: bound.index },
+                ExtraState::ReadingRate { effect, output: bound.index },
+            ]),
             Effect::Flexibility | Effect::FlexibilityFar => states.extend([
                 ExtraState::Deflection { effect, joint: bound.index },
                 ExtraState::DeflectionRate { effect, joint: bound.index },
@@ -80,6 +92,10 @@ impl Plant {
                 let plain = Point { states: &point.states[..n], ..*point };
                 self.by_states(output, &plain, plain.states) - values.outputs[output]
             }
+            ExtraState::ReadingRate { output, .. } => {
+                let plain = Point { states: &point.states[..n], ..*point };
+                self.along(output, &plain, &values.derivatives)
+            }
             ExtraState::Deflection { .. } | ExtraState::DeflectionRate { .. } => 0.0,
         }));
         states
@@ -92,6 +108,9 @@ impl Plant {
         let mut names: Vec<String> = system.states.iter().map(|s| s.name.clone()).collect();
         names.extend(self.extra_states.iter().enumerate().map(|(k, state)| match *state {
             ExtraState::Reading { output, .. } => format!("{}_behind_{k}", system.outputs[output].name),
+            ExtraState::ReadingRate { output, .. } => {
+                format!("{}_shown_rate_{k}", system.outputs[output].name)
+            }
             ExtraState::Deflection { joint, .. } => format!("{}_deflection_{k}", system.joints[joint].name),
             ExtraState::DeflectionRate { joint, .. } => {
                 format!("{}_deflection_rate_{k}", system.joints[joint].name)
@@ -105,6 +124,15 @@ impl Plant {
         let inputs = vec![T::constant(0.0); point.inputs.len()];
         let still = Point { states, inputs: &inputs, time: T::constant(0.0), ..*point };
         self.equations.values(&still, &[]).outputs[output]
+    }
+
+    /// How fast what the nominal states make of an output changes along the motion.
+    fn along<T: Scalar>(&self, output: usize, point: &Point<'_, T>, derivatives: &[T]) -> T {
+        let beside = |seconds: f64| {
+            let moved = point.states.iter().zip(derivatives).map(|(x, d)| *x + *d * seconds);
+            self.by_states(output, point, &moved.collect::<Vec<T>>())
+        };
+        (beside(INSTANT) - beside(-INSTANT)) / (2.0 * INSTANT)
     }
 
     /// Keeps saturated states within their bounds: a derivative that points outside vanishes there, and what is
@@ -133,23 +161,31 @@ impl Plant {
     ) {
         let n = derivatives.len();
         let mut lags = vec![0; values.outputs.len()];
+        // What the last lag of second order does to its rate.
+        let mut bent = T::constant(0.0);
         for (k, state) in self.extra_states.iter().enumerate() {
             let rate = match *state {
                 ExtraState::Reading { effect, output } => {
                     // A lag shorter than a step is followed as one of a step, and shown in proportion (see `lagged`):
-                    // y − τ ẏ to first order in both. The state is g − s, with τ ṡ = y − s and ġ along the motion.
-                    let tau = self.own(&self.effects[effect], extra)[0].max(self.step(extra));
+                    // y − τ ẏ to first order in both. The state is g − s, with ġ along the motion and τ ṡ = y − s, or
+                    // τ² s̈ = y − s − 2ζ τ ṡ for a lag of second order.
+                    let own = self.own(&self.effects[effect], extra);
+                    let tau = own[0].max(self.step(extra));
                     let source = self.lagged(output, point, extra, values, lags[output]);
                     lags[output] += 1;
-                    let states = &point.states[..n];
-                    let beside = |seconds: f64| -> Vec<T> {
-                        states.iter().zip(derivatives.iter()).map(|(x, d)| *x + *d * seconds).collect()
+                    let nominal = Point { states: &point.states[..n], ..*point };
+                    let ahead = source - self.by_states(output, point, nominal.states) + point.states[n + k];
+                    let shown_rate = match own[..] {
+                        [_, damping] => {
+                            let rate = point.states[n + k + 1];
+                            bent = (ahead - damping * tau * rate * 2.0) / (tau * tau);
+                            rate
+                        }
+                        _ => ahead / tau,
                     };
-                    let ahead = self.by_states(output, point, &beside(INSTANT));
-                    let behind = self.by_states(output, point, &beside(-INSTANT));
-                    let shown = self.by_states(output, point, states) - point.states[n + k];
-                    (ahead - behind) / (2.0 * INSTANT) - (source - shown) / tau
+                    self.along(output, &nominal, &derivatives[..n]) - shown_rate
                 }
+                ExtraState::ReadingRate { .. } => bent,
                 ExtraState::Deflection { .. } => point.states[n + k + 1],
                 ExtraState::DeflectionRate { .. } => {
                     let own = forces.deflections.iter().find(|(first, _)| first + 1 == k);
