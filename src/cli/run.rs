@@ -6,7 +6,7 @@ use anyhow::anyhow;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use parallax_runtime::launch::{
-    self, End, InputReport, LaunchSpec, NodeReport, RunError, RunOptions, RunReport,
+    self, End, InputReport, LaunchSpec, NodeReport, RecordingReport, Rotate, RunError, RunOptions, RunReport,
 };
 use parallax_runtime::time::{Nanos, to_seconds};
 
@@ -27,6 +27,9 @@ pub(crate) struct Arguments {
     /// The recording to write.
     #[arg(long, value_name = "FILE.mcap")]
     out: Option<PathBuf>,
+    /// Go on in a new file (run.1.mcap, run.2.mcap, ...) at a size or after a time, such as 500MB or 10min.
+    #[arg(long, value_name = "SIZE|TIME", value_parser = rotate)]
+    rotate: Option<Rotate>,
     /// Record to out/GRAPH/recording.mcap.
     #[arg(long, conflicts_with = "out")]
     record: bool,
@@ -75,6 +78,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         duration: arguments.duration,
         seed: arguments.seed,
         recording: out.clone(),
+        rotate: arguments.rotate,
         launch: launch_spec(arguments)?,
         spread: !arguments.no_spread,
         progress: Some(watch(&bar)),
@@ -87,11 +91,54 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         output::json(&report)?;
     } else {
         print(&report);
-        if let Some(out) = out {
-            output::line(format!("recorded to {}", out.display()));
+        if let Some(recording) = &report.recording {
+            let files: Vec<String> = recording.files.iter().map(|file| file.display().to_string()).collect();
+            output::line(format!(
+                "recorded to {}: {:.1} MiB",
+                files.join(", "),
+                recording.bytes as f64 / 1_048_576.0
+            ));
         }
     }
-    ended(&report)
+    let outcome = ended(&report)?;
+    match report.recording.as_ref().map(RecordingReport::complete) {
+        Some(false) => {
+            Err(Failure::runtime(anyhow!("the run went on to its end, but its recording has holes")))
+        }
+        _ => Ok(outcome),
+    }
+}
+
+/// A size such as `500MB` or a time such as `10min`.
+fn rotate(text: &str) -> Result<Rotate, String> {
+    const UNITS: [(&str, f64); 8] = [
+        ("kB", 1e3),
+        ("MB", 1e6),
+        ("GB", 1e9),
+        ("KiB", 1024.0),
+        ("MiB", 1_048_576.0),
+        ("GiB", 1_073_741_824.0),
+        ("min", 60.0),
+        ("h", 3600.0),
+    ];
+    let form = || "it must be a size such as 500MB or 2GiB, or a time such as 90s, 10min or 1h".to_owned();
+    let digits = text.find(|c: char| c.is_ascii_alphabetic()).ok_or_else(form)?;
+    let number: f64 = text[..digits].trim().parse().map_err(|_| form())?;
+    let unit = &text[digits..];
+    let factor = UNITS.iter().find(|(name, _)| *name == unit).map(|(_, factor)| *factor);
+    let rotate = match (unit, factor) {
+        ("s", _) => Rotate::Time((number * 1e9) as Nanos),
+        ("min" | "h", Some(factor)) => Rotate::Time((number * factor * 1e9) as Nanos),
+        (_, Some(factor)) => Rotate::Bytes((number * factor) as u64),
+        _ => return Err(form()),
+    };
+    match rotate {
+        Rotate::Bytes(bytes) if bytes < 100_000 => {
+            Err("a file of less than 100kB holds little but its head".into())
+        }
+        Rotate::Time(time) if time < 1_000_000_000 => Err("a file holds a second at least".into()),
+        rotate => Ok(rotate),
+    }
 }
 
 /// The launch settings: those of the file, changed by the flags.
@@ -161,9 +208,6 @@ pub(crate) fn ended(report: &RunReport) -> Result<Outcome, Failure> {
     match &report.end {
         End::Duration => Ok(Outcome::Done),
         End::Signal => Ok(Outcome::Interrupted),
-        End::Recorder => Err(Failure::runtime(anyhow!(
-            "the recording could not be written any further, so the run was stopped; is the disk full?"
-        ))),
         End::Node { node } => {
             Err(Failure::runtime(anyhow!(report.failure().unwrap_or_else(|| format!("node {node} ended")))))
         }

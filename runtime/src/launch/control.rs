@@ -10,7 +10,9 @@ use std::os::unix::net::UnixStream;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use super::record::Ledger;
 use super::report::Exit;
+use crate::recording::{Clock, Fault};
 use crate::time::Nanos;
 
 /// From the launcher to a node.
@@ -25,6 +27,12 @@ pub(super) enum Order {
     SenderGone { node: String, next: u64, back: bool },
     /// Finish the step and end.
     Stop,
+    /// To the recorder: the run has this clock, begin to write.
+    Record { clock: Clock },
+    /// To the recorder: write this down.
+    Fault { fault: Fault },
+    /// To the recorder: the run is over and lasted so long; write what is left.
+    Finish { duration: Nanos },
 }
 
 /// From a node to the launcher.
@@ -35,7 +43,11 @@ pub(super) enum Answer {
     Opened { refused: Vec<String> },
     /// Connected: the number of receivers of its output, and of its records.
     Connected { receivers: usize, recorders: usize },
-    /// The node cannot go on.
+    /// The recorder listens to all nodes.
+    Listening,
+    /// The recorder has closed its last file.
+    Recorded { ledger: Box<Ledger> },
+    /// The node, or the recorder, cannot go on.
     Failed { reason: String },
     /// The node takes up an earlier one's work with this step.
     Resumed { step: u64, shift: Nanos },

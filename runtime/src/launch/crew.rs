@@ -84,7 +84,7 @@ pub(super) struct Crew<'a> {
     pub(super) endpoint: &'a Endpoint,
     pub(super) hire: &'a Hire<'a>,
     pub(super) members: Vec<Member>,
-    pub(super) recorder: Option<Recorder>,
+    pub(super) recorder: Option<Recorder<'a>>,
     pub(super) journal: Journal,
     pub(super) patience: Duration,
     /// Processes that do nothing but stop the hardware of a node that died.
@@ -106,7 +106,7 @@ impl<'a> Crew<'a> {
         endpoint: &'a Endpoint,
         hire: &'a Hire<'a>,
         vitals: Vec<Vitals>,
-        recorder: Option<Recorder>,
+        recorder: Option<Recorder<'a>>,
         options: &mut RunOptions,
     ) -> Result<Self, RunError> {
         let journal = Journal { tell: options.events.take(), ..Journal::default() };
@@ -250,8 +250,8 @@ impl<'a> Crew<'a> {
                     return end;
                 }
             }
-            if self.recorder.as_ref().is_some_and(Recorder::ended) {
-                return End::Recorder;
+            if let Some(recorder) = &mut self.recorder {
+                recorder.look(self.endpoint);
             }
             if self.members.iter().all(|member| member.state == State::Over) {
                 return End::Duration;

@@ -75,8 +75,11 @@ pub enum RunError {
     #[error("cannot start the recorder: {0}")]
     Thread(io::Error),
     /// The recorder ended without saying why.
-    #[error("the recorder failed; the recording ends there, and what was written can be read")]
-    Recorder,
+    #[error("the recorder could not begin: {reason}")]
+    Recorder {
+        /// What it said, or how it died.
+        reason: String,
+    },
     /// Signals cannot be watched.
     #[error("cannot watch for Ctrl-C: {0}")]
     Signals(io::Error),

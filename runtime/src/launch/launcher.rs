@@ -6,9 +6,9 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use super::control::Order;
 use super::crew::Crew;
 use super::error::RunError;
-use super::plan::{self, RUN_FILE, RunFile, Settings};
+use super::plan::{self, RUN_FILE, RecordingPlan, RunFile, Settings};
 use super::recorder::Recorder;
-use super::report::{End, NodeReport, RunReport};
+use super::report::{End, NodeReport, RecordingReport, RunReport};
 use super::settings::{NodeSettings, Refused, RunAs};
 use super::signals::Signals;
 use super::vitals::Vitals;
@@ -17,7 +17,7 @@ use super::{RunOptions, cores, worker_main};
 use crate::channel::{Endpoint, Service, Space};
 use crate::clock::{WallClock, monotonic};
 use crate::graph::{Graph, GraphSpec};
-use crate::recording::Clock;
+use crate::recording::{Clock, RecordingError};
 use crate::registry::Registry;
 use crate::time::Nanos;
 
@@ -46,6 +46,7 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
         seed: options.seed,
         duration: options.duration,
         recording: options.recording.is_some(),
+        recorder: recording_plan(&options)?,
         nodes,
     };
     let file = RunFile { graph: graph.spec().clone(), settings: settings.clone() };
@@ -60,7 +61,9 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
     let endpoint = Endpoint::new(&space)?;
     let _services = create(&graph, &endpoint, settings.recording)?;
     let recorder = match &options.recording {
-        Some(path) => Some(Recorder::start(&graph, &space, path)?),
+        Some(path) => {
+            Some(Recorder::start(&graph, &settings, &space, path, &options.node_command, &options)?)
+        }
         None => None,
     };
     let vitals = graph.nodes().iter().map(|node| Vitals::open(space.path(), &node.name, node.inputs.len()));
@@ -87,14 +90,9 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
     crew.stop(clock);
     let shared_memory = used(&space);
     let recorder = crew.recorder.take();
-    let records_lost = recorder.map_or(Ok(Vec::new()), |recorder| recorder.finish(duration));
+    let recording = recorder.map(|recorder| recorder.finish(&graph, duration, &endpoint));
     let (nodes, journal) = crew.dismiss(clock);
-    let records_lost = records_lost?;
-    for (node, lost) in &records_lost {
-        warnings.push(format!(
-            "{lost} records of node {node} did not reach the recorder: its recording has holes there"
-        ));
-    }
+    warnings.extend(recording.iter().flat_map(RecordingReport::warnings));
     warnings.extend(nodes.iter().filter(|node| node.steps == 0).map(never_stepped));
     Ok(RunReport {
         graph: graph.spec().name.clone(),
@@ -105,9 +103,17 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
         nodes,
         events: journal.events,
         events_omitted: journal.omitted,
-        records_lost,
+        recording,
         warnings,
     })
+}
+
+/// Where the recording goes, as a process that may run elsewhere has to know it.
+fn recording_plan(options: &RunOptions) -> Result<Option<RecordingPlan>, RunError> {
+    let Some(path) = &options.recording else { return Ok(None) };
+    let create = |source| RecordingError::Io { path: path.clone(), what: "find the folder of", source };
+    let absolute = std::path::absolute(path).map_err(create)?;
+    Ok(Some(RecordingPlan { path: absolute, rotate: options.rotate }))
 }
 
 /// Says why a node made no step, as far as that is known.

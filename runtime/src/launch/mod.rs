@@ -36,6 +36,7 @@ mod event;
 mod launcher;
 mod orders;
 mod plan;
+mod record;
 mod recorder;
 mod records;
 mod report;
@@ -52,10 +53,12 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use serde::{Deserialize, Serialize};
+
 pub use error::RunError;
 pub use event::{Event, EventKind, Watcher};
 pub use launcher::run;
-pub use report::{End, Exit, InputReport, NodeReport, NonFinite, Percentiles, RunReport};
+pub use report::{End, Exit, InputReport, NodeReport, NonFinite, Percentiles, RecordingReport, RunReport};
 pub use settings::{
     LaunchSpec, NodeLaunch, NodeSettings, OnDeadline, OnHang, OnNonFinite, Policy, Refused, Restart, RunAs,
     SettingsError, WaitStrategy,
@@ -83,6 +86,16 @@ pub struct Progress {
     pub duration: Option<Nanos>,
 }
 
+/// When a file of a recording is long enough.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Rotate {
+    /// At so many bytes, about.
+    Bytes(u64),
+    /// After such a time.
+    Time(Nanos),
+}
+
 /// Settings of a run.
 pub struct RunOptions {
     /// How long to run, from the common start; without it, until Ctrl-C.
@@ -91,6 +104,8 @@ pub struct RunOptions {
     pub seed: u64,
     /// The MCAP file to write.
     pub recording: Option<PathBuf>,
+    /// When the recording goes on in a new file: `run.mcap`, `run.1.mcap`, and so on. Each can be read by itself.
+    pub rotate: Option<Rotate>,
     /// How single nodes are run, and what happens when they fail. It goes before [`mode`](Self::mode),
     /// [`spin`](Self::spin) and [`real_time`](Self::real_time), which hold for nodes of which it says nothing.
     pub launch: LaunchSpec,
@@ -126,6 +141,7 @@ impl Default for RunOptions {
             duration: None,
             seed: 0,
             recording: None,
+            rotate: None,
             launch: LaunchSpec::default(),
             mode: Mode::default(),
             private: BTreeMap::new(),

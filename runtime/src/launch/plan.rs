@@ -1,7 +1,10 @@
 //! What the launcher and its nodes must agree on: the run's settings, and the channels of a graph.
 
+use std::path::PathBuf;
+
 use serde::{Deserialize, Serialize};
 
+use super::Rotate;
 use super::settings::NodeSettings;
 use crate::channel::Topic;
 use crate::graph::{Graph, GraphSpec};
@@ -26,8 +29,17 @@ pub(super) struct Settings {
     /// No step starts at or after this time.
     pub(super) duration: Option<Nanos>,
     pub(super) recording: bool,
+    /// Where the recorder writes, if there is one.
+    pub(super) recorder: Option<RecordingPlan>,
     /// How each node is run.
     pub(super) nodes: Vec<NodeSettings>,
+}
+
+/// Where a recording goes.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct RecordingPlan {
+    pub(super) path: PathBuf,
+    pub(super) rotate: Option<Rotate>,
 }
 
 /// Words before the payload of a message: its number and the time it was sent.

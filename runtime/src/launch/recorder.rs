@@ -1,253 +1,249 @@
-//! Takes the records of all nodes from shared memory and writes them to a file.
+//! The recorder as the launcher sees it: a process, or a thread, that is started again when it dies.
 
+use std::cell::RefCell;
 use std::fs::OpenOptions;
+use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
-use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
+use super::RunOptions;
+use super::control::{Answer, Order};
 use super::error::RunError;
-use super::plan::{self, CONSUMED, INITIAL, INPUT_HEAD, LOSS, LOSS_WORDS, STEP, STEP_HEAD};
-use crate::channel::{Endpoint, Space, Subscriber};
+use super::plan::Settings;
+use super::record::{self, Ledger};
+use super::report::RecordingReport;
+use super::settings::RunAs;
+use super::worker::Worker;
+use crate::channel::{Endpoint, Space};
 use crate::graph::Graph;
-use crate::node::Consumed;
-use crate::recording::{
-    Clock, Description, Fault, InputRecord, Loss, RecordingError, RecordingWriter, StepRecord,
-};
+use crate::recording::{Clock, Fault, RecordingError};
 use crate::time::Nanos;
 
-/// Time between two visits to the channels: short against the seconds of room that they have, long against a step.
-const VISIT: Duration = Duration::from_millis(4);
+/// How long a recorder that died is left alone, at first; twice as long each time.
+const REST: Duration = Duration::from_millis(50);
+/// After so many deaths it is not started again: what kills it would go on to do so.
+const DEATHS: u64 = 8;
+/// How long the recorder may take to write what is left.
+const CLOSING: Duration = Duration::from_secs(60);
 
-/// What the launcher tells the recorder.
-enum Order {
-    Start(Clock),
-    Fault(Fault),
-    Finish(Nanos),
-}
+/// Starts a recorder.
+type Hire<'a> = Box<dyn Fn() -> io::Result<Worker> + 'a>;
 
-/// Records that did not reach the recorder, by node.
-pub(super) type Lost = Vec<(String, u64)>;
-
-/// The thread that records.
-pub(super) struct Recorder {
-    orders: Sender<Order>,
-    thread: Option<JoinHandle<Result<Lost, RunError>>>,
+/// The recorder of a run.
+pub(super) struct Recorder<'a> {
+    worker: Worker,
+    hire: Hire<'a>,
+    space: &'a Space,
+    state: State,
+    clock: Option<Clock>,
+    /// Faults that it has not been told of.
+    unsaid: RefCell<Vec<Fault>>,
+    deaths: u64,
+    last_death: Option<String>,
+    /// Its books, once it has closed its file.
+    recorded: Option<Ledger>,
     /// The file, while it is empty because no run has begun.
     empty: Option<PathBuf>,
 }
 
-impl Recorder {
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum State {
+    /// It opens its channels.
+    Opening(Instant),
+    /// It listens to all nodes.
+    Listening,
+    /// It has died and is to be started at this time.
+    Dead(Instant),
+    /// It has died too often.
+    GivenUp,
+}
+
+impl<'a> Recorder<'a> {
     /// Starts the recorder; it listens to all nodes when this returns.
-    pub(super) fn start(graph: &Graph, space: &Space, path: &Path) -> Result<Self, RunError> {
+    pub(super) fn start(
+        graph: &'a Graph,
+        settings: &'a Settings,
+        space: &'a Space,
+        path: &Path,
+        command: &[String],
+        options: &RunOptions,
+    ) -> Result<Self, RunError> {
         // Found out now, and not when the run is over. An older recording stays until the new one begins.
         let existed = path.exists();
         let create = |source| RecordingError::Io { path: path.into(), what: "create the file", source };
         drop(OpenOptions::new().write(true).create(true).truncate(false).open(path).map_err(create)?);
-        let empty = (!existed).then(|| path.to_path_buf());
-        let (orders, inbox) = channel();
-        let (ready, opened) = channel();
-        let (graph, path, run) = (graph.clone(), path.to_path_buf(), space.path().to_path_buf());
-        let body = move || {
-            let streams = match open(&graph, &run) {
-                Ok(streams) => streams,
-                Err(error) => {
-                    // The launcher waits for this very message.
-                    let _ = ready.send(Some(error));
-                    return Ok(Vec::new());
-                }
-            };
-            let _ = ready.send(None);
-            record(&graph, path, streams, &inbox)
+        // Where no node is a process, this program need not know how to be one.
+        let processes = settings.nodes.iter().any(|node| node.run_as == RunAs::Process);
+        let command = command.to_vec();
+        let hire: Hire<'a> = Box::new(move || match processes {
+            true => Worker::process(&command, space.path(), record::NAME, &Default::default(), false),
+            false => {
+                let (graph, settings, run) = (graph.clone(), settings.clone(), space.path().to_path_buf());
+                Worker::thread("recorder", move |stream| {
+                    if let Ok(space) = Space::attach(&run) {
+                        record::serve(&graph, &settings, &space, stream);
+                    }
+                })
+            }
+        });
+        let worker = hire().map_err(RunError::Thread)?;
+        let mut recorder = Self {
+            worker,
+            hire,
+            space,
+            state: State::Opening(Instant::now()),
+            clock: None,
+            unsaid: RefCell::default(),
+            deaths: 0,
+            last_death: None,
+            recorded: None,
+            empty: (!existed).then(|| path.to_path_buf()),
         };
-        let thread =
-            std::thread::Builder::new().name("recorder".into()).spawn(body).map_err(RunError::Thread)?;
-        match opened.recv() {
-            Ok(None) => Ok(Self { orders, thread: Some(thread), empty }),
-            Ok(Some(error)) => Err(error),
-            Err(_) => Err(RunError::Recorder),
+        let start = Instant::now();
+        while recorder.state != State::Listening {
+            recorder.hear()?;
+            if let State::Dead(_) = recorder.state {
+                return Err(RunError::Recorder { reason: recorder.last_death.take().unwrap_or_default() });
+            }
+            if start.elapsed() > options.patience {
+                return Err(RunError::Recorder { reason: "it did not open its channels in time".into() });
+            }
+            recorder.worker.wait(20);
         }
+        Ok(recorder)
     }
 
     /// The run's clock is known: writing can begin.
     pub(super) fn begin(&mut self, clock: Clock) {
         self.empty = None;
-        self.tell(Order::Start(clock));
+        self.worker.order(&Order::Record { clock: clock.clone() });
+        self.clock = Some(clock);
     }
 
+    /// Something happened to a node. The recorder is told when it is next looked after.
     pub(super) fn fault(&self, fault: Fault) {
-        self.tell(Order::Fault(fault));
+        self.unsaid.borrow_mut().push(fault);
     }
 
-    fn tell(&self, order: Order) {
-        // A recorder that has ended says why when it is joined.
-        let _ = self.orders.send(order);
+    /// Looks after it: passes on what it has to know, and starts it again when it has died.
+    pub(super) fn look(&mut self, endpoint: &Endpoint) {
+        if let Err(error) = self.hear() {
+            self.die(error.to_string());
+        }
+        match self.state {
+            State::Listening => {
+                for fault in self.unsaid.borrow_mut().drain(..) {
+                    self.worker.order(&Order::Fault { fault });
+                }
+            }
+            State::Dead(until) if Instant::now() >= until => {
+                // Its place on the channels is free only when what it left there is removed.
+                endpoint.remove_dead();
+                match (self.hire)() {
+                    Ok(worker) => {
+                        self.worker = worker;
+                        self.state = State::Opening(Instant::now());
+                    }
+                    Err(error) => self.die(error.to_string()),
+                }
+            }
+            State::Opening(since) if since.elapsed() > Duration::from_secs(10) => {
+                self.die("it did not open its channels in time".into());
+            }
+            _ => {}
+        }
     }
 
-    /// Whether it ended before it was told to: then something is wrong with the file.
-    pub(super) fn ended(&self) -> bool {
-        self.thread.as_ref().is_none_or(JoinHandle::is_finished)
+    /// Takes in what it says, and whether it has died.
+    fn hear(&mut self) -> Result<(), RunError> {
+        for answer in self.worker.answers() {
+            match answer {
+                Answer::Listening => {
+                    self.state = State::Listening;
+                    // One that comes later than the run's start has to know what the first one was told.
+                    if let Some(clock) = self.clock.clone() {
+                        self.worker.order(&Order::Record { clock });
+                    }
+                }
+                Answer::Recorded { ledger } => self.recorded = Some(*ledger),
+                Answer::Failed { reason } => return Err(RunError::Recorder { reason }),
+                _ => {}
+            }
+        }
+        if matches!(self.state, State::Listening | State::Opening(_)) && self.worker.line.closed() {
+            self.worker.join(Duration::from_millis(200));
+            let death = self.worker.death().map_or_else(|| "it hung up".into(), |exit| exit.to_string());
+            self.die(death);
+        }
+        Ok(())
     }
 
-    /// Takes what is left and closes the file; gives the records that did not arrive, by node.
-    pub(super) fn finish(mut self, duration: Nanos) -> Result<Lost, RunError> {
-        self.tell(Order::Finish(duration));
-        match self.thread.take().map(JoinHandle::join) {
-            Some(Ok(result)) => result,
-            _ => Err(RunError::Recorder),
+    fn die(&mut self, how: String) {
+        self.deaths += 1;
+        self.last_death = Some(how);
+        self.state = if self.deaths >= DEATHS {
+            State::GivenUp
+        } else {
+            State::Dead(Instant::now() + REST * 2_u32.saturating_pow(self.deaths as u32 - 1))
+        };
+    }
+
+    /// Takes what is left and closes the file; gives what became of everything.
+    pub(super) fn finish(mut self, graph: &Graph, duration: Nanos, endpoint: &Endpoint) -> RecordingReport {
+        let start = Instant::now();
+        let mut asked = 0;
+        let ledger = loop {
+            // Whoever died meanwhile is started once more: what waits in the channels is taken yet.
+            self.look(endpoint);
+            if let Some(ledger) = self.recorded.take() {
+                break Some(ledger);
+            }
+            match self.state {
+                State::Listening if asked <= self.deaths => {
+                    self.worker.order(&Order::Finish { duration });
+                    asked = self.deaths + 1;
+                }
+                State::GivenUp => break None,
+                _ => {}
+            }
+            if start.elapsed() > CLOSING {
+                self.last_death = Some(format!("it did not close the file within {} s", CLOSING.as_secs()));
+                break None;
+            }
+            self.worker.wait(20);
+        };
+        let closed = ledger.is_some();
+        // What a recorder that is no more had put on paper last.
+        let ledger = ledger.unwrap_or_else(|| Ledger::read(self.space, graph.nodes().len()));
+        let by_node = |counts: &[u64]| {
+            let counts = graph.nodes().iter().zip(counts).filter(|(_, count)| **count > 0);
+            counts.map(|(node, count)| (node.name.clone(), *count)).collect()
+        };
+        let bytes =
+            ledger.files.iter().filter_map(|file| std::fs::metadata(file).ok()).map(|file| file.len()).sum();
+        let problem = match (&ledger.problem, closed) {
+            (None, false) => self.last_death.take(),
+            (problem, _) => problem.clone(),
+        };
+        RecordingReport {
+            bytes,
+            lost: by_node(&ledger.lost),
+            unwritten: by_node(&ledger.unwritten),
+            restarts: self.deaths,
+            problem,
+            files: ledger.files,
         }
     }
 }
 
-impl Drop for Recorder {
+impl Drop for Recorder<'_> {
     fn drop(&mut self) {
-        // After a run that was not made, the thread must be gone before the run's shared memory is.
-        if let Some(thread) = self.thread.take() {
-            self.tell(Order::Finish(0));
-            let _ = thread.join();
-        }
+        // After a run that was not made, the recorder must be gone before the run's shared memory is.
+        self.worker.hang_up();
+        self.worker.join(Duration::from_secs(2));
         if let Some(path) = self.empty.take() {
             // A file that cannot be removed is empty, and the reader says so.
             let _ = std::fs::remove_file(path);
         }
     }
-}
-
-/// One node's records.
-struct Stream {
-    subscriber: Subscriber,
-    /// Number of the record that comes next.
-    next: u64,
-    lost: u64,
-}
-
-fn open(graph: &Graph, run: &Path) -> Result<Vec<Stream>, RunError> {
-    let endpoint = Endpoint::new(&Space::attach(run)?)?;
-    (0..graph.nodes().len())
-        .map(|node| {
-            let subscriber = endpoint.open(&plan::records(graph, node))?.subscriber()?;
-            Ok(Stream { subscriber, next: 0, lost: 0 })
-        })
-        .collect()
-}
-
-/// A record taken from a channel.
-struct Taken {
-    time: Nanos,
-    node: usize,
-    words: Vec<u64>,
-}
-
-fn record(
-    graph: &Graph,
-    path: PathBuf,
-    mut streams: Vec<Stream>,
-    orders: &Receiver<Order>,
-) -> Result<Lost, RunError> {
-    let mut writer = None;
-    let mut taken = Vec::new();
-    loop {
-        let mut finish = None;
-        match orders.recv_timeout(VISIT) {
-            Ok(Order::Start(clock)) => {
-                writer = Some(RecordingWriter::create(&path, &Description::new(graph, clock))?);
-            }
-            Ok(Order::Fault(fault)) => {
-                if let Some(writer) = &mut writer {
-                    writer.fault(&fault)?;
-                }
-                continue;
-            }
-            Ok(Order::Finish(duration)) => finish = Some(duration),
-            // The launcher is gone without a word: it failed before the run began.
-            Err(RecvTimeoutError::Disconnected) => finish = Some(0),
-            Err(RecvTimeoutError::Timeout) => {}
-        }
-        let Some(file) = &mut writer else {
-            if finish.is_some() {
-                return Ok(Vec::new());
-            }
-            continue;
-        };
-        take(&mut streams, &mut taken)?;
-        // The order of the file is that of time, as far as one visit sees it.
-        taken.sort_by_key(|record| record.time);
-        for record in taken.drain(..) {
-            write(graph, file, &record)?;
-        }
-        if let (Some(duration), Some(file)) = (finish, writer.take_if(|_| finish.is_some())) {
-            file.finish(duration)?;
-            let lost = streams.iter().zip(graph.nodes()).filter(|(stream, _)| stream.lost > 0);
-            return Ok(lost.map(|(stream, node)| (node.name.clone(), stream.lost)).collect());
-        }
-    }
-}
-
-fn take(streams: &mut [Stream], taken: &mut Vec<Taken>) -> Result<(), RunError> {
-    for (node, stream) in streams.iter_mut().enumerate() {
-        let Stream { subscriber, next, lost } = stream;
-        while subscriber.receive(|words| {
-            let (number, time) = match *words {
-                [LOSS, number, _, _, _, time, ..] | [STEP, number, _, _, _, time, ..] => {
-                    (number, time as Nanos)
-                }
-                // Only our own nodes can write here, and both ends were checked to be of one layout.
-                _ => return,
-            };
-            *lost += number.saturating_sub(*next);
-            *next = number + 1;
-            taken.push(Taken { time, node, words: words.to_vec() });
-        })? {}
-    }
-    Ok(())
-}
-
-fn write(graph: &Graph, file: &mut RecordingWriter, record: &Taken) -> Result<(), RunError> {
-    let Taken { node, words, .. } = record;
-    if words[0] == LOSS {
-        return losses(graph, *node, &words[..LOSS_WORDS]).try_for_each(|loss| Ok(file.loss(&loss)?));
-    }
-    let Some((step, payload)) = step(graph, *node, words) else { return Ok(()) };
-    file.message(*node, step.seq, step.end, &payload)?;
-    Ok(file.step_record(*node, &step)?)
-}
-
-/// The losses that a record tells of, one for each message.
-fn losses<'a>(graph: &'a Graph, node: usize, words: &[u64]) -> impl Iterator<Item = Loss> + use<'a> {
-    let (input, first, count, time) = (words[2] as usize, words[3], words[4], words[5] as Nanos);
-    let reason = plan::reason_of(words[6]);
-    let receiver = &graph.nodes()[node];
-    let connection = receiver.inputs.get(input).map(|&connection| &graph.connections()[connection]);
-    (first..first.saturating_add(count)).filter_map(move |seq| {
-        connection.map(|connection| Loss {
-            from: graph.nodes()[connection.from].name.clone(),
-            to: receiver.name.clone(),
-            port: connection.port.clone(),
-            seq,
-            time,
-            reason,
-        })
-    })
-}
-
-/// A step and the payload that it sent.
-fn step(graph: &Graph, node: usize, words: &[u64]) -> Option<(StepRecord, Vec<f64>)> {
-    let (head, mut rest) = words.split_at_checked(STEP_HEAD)?;
-    let mut inputs = Vec::new();
-    for &connection in &graph.nodes()[node].inputs {
-        let (input, after) = rest.split_at_checked(INPUT_HEAD)?;
-        let (stamps, after) = after.split_at_checked(CONSUMED * input[1] as usize)?;
-        let consumed = stamps.chunks_exact(CONSUMED).map(|stamp| Consumed {
-            seq: (stamp[0] != INITIAL).then_some(stamp[0]),
-            sent: stamp[1] as Nanos,
-            received: stamp[2] as Nanos,
-        });
-        let port = graph.connections()[connection].port.clone();
-        inputs.push(InputRecord { port, consumed: consumed.collect(), superseded: input[0] });
-        rest = after;
-    }
-    let payload = rest.iter().map(|word| f64::from_bits(*word)).collect();
-    let [seq, due, start, end] = [head[2], head[3], head[4], head[5]];
-    let step = StepRecord { seq, due: due as Nanos, start: start as Nanos, end: end as Nanos, inputs };
-    Some((step, payload))
 }

@@ -1,5 +1,7 @@
 //! What a run tells when it is over.
 
+use std::path::PathBuf;
+
 use serde::{Deserialize, Serialize};
 
 use super::event::Event;
@@ -137,13 +139,65 @@ pub enum End {
     Duration,
     /// Somebody asked: Ctrl-C, or a signal to terminate.
     Signal,
-    /// The recording could not be written any further.
-    Recorder,
     /// A node ended that others depend on.
     Node {
         /// Its name.
         node: String,
     },
+}
+
+/// What became of a recording.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RecordingReport {
+    /// Its files, in the order of time; each can be read by itself.
+    pub files: Vec<PathBuf>,
+    /// Their length together.
+    pub bytes: u64,
+    /// Records that did not reach the recorder, by node: it was behind, or dead.
+    pub lost: Vec<(String, u64)>,
+    /// Records that reached the recorder and not the disk, by node.
+    pub unwritten: Vec<(String, u64)>,
+    /// How often the recorder died and was started again.
+    pub restarts: u64,
+    /// What went wrong last, in words.
+    pub problem: Option<String>,
+}
+
+impl RecordingReport {
+    /// Whether every record is in the files.
+    pub fn complete(&self) -> bool {
+        self.lost.is_empty() && self.unwritten.is_empty()
+    }
+
+    /// What is missing, one sentence each; empty when it is complete and nothing went wrong.
+    pub fn warnings(&self) -> Vec<String> {
+        let count = |counts: &[(String, u64)]| {
+            counts.iter().map(|(node, count)| format!("{count} of {node}")).collect::<Vec<_>>().join(", ")
+        };
+        let mut warnings = Vec::new();
+        if !self.lost.is_empty() {
+            warnings.push(format!(
+                "the recording has holes: records that did not reach the recorder: {}",
+                count(&self.lost)
+            ));
+        }
+        if !self.unwritten.is_empty() {
+            warnings.push(format!(
+                "the recording has holes: records that could not be written: {}",
+                count(&self.unwritten)
+            ));
+        }
+        if self.restarts > 0 {
+            warnings.push(format!(
+                "the recorder died and was started again ({} times); its file before has no end",
+                self.restarts
+            ));
+        }
+        if let Some(problem) = self.problem.as_ref().filter(|_| !self.complete()) {
+            warnings.push(format!("the recorder says: {problem}"));
+        }
+        warnings
+    }
 }
 
 /// What a run tells when it is over.
@@ -165,8 +219,8 @@ pub struct RunReport {
     pub events: Vec<Event>,
     /// Events that are not in the list, because there were too many.
     pub events_omitted: u64,
-    /// Records of steps that did not reach the recorder, by node.
-    pub records_lost: Vec<(String, u64)>,
+    /// The recording, if there is one.
+    pub recording: Option<RecordingReport>,
     /// Things worth knowing that hinder nothing, such as shared cores.
     pub warnings: Vec<String>,
 }
@@ -183,7 +237,7 @@ impl RunReport {
 
     /// Whether every node ended in order and nothing was lost.
     pub fn clean(&self) -> bool {
-        self.records_lost.is_empty()
+        self.recording.as_ref().is_none_or(RecordingReport::complete)
             && self.nodes.iter().all(|n| n.exit == Exit::Clean && n.undelivered == 0 && n.lost.is_empty())
     }
 }

@@ -158,6 +158,8 @@ impl Crew<'_> {
                     return None;
                 }
                 Answer::Failed { reason } => failed = Some(Exit::Failed { reason }),
+                // Only a recorder says these.
+                Answer::Listening | Answer::Recorded { .. } => {}
                 Answer::Done { exit, .. } => failed = Some(exit),
             }
         }

@@ -10,7 +10,7 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use super::control::{Answer, Line, Order};
+use super::control::{Answer, Line, Order, readable};
 use super::report::Exit;
 use super::stepper::panicked;
 use super::worker_main::STOP_ONLY;
@@ -95,6 +95,15 @@ impl Worker {
         // A line that is no answer comes from a process that is not ours: it counts as silence, and the
         // launcher's patience ends the run.
         self.line.receive(0).unwrap_or_default()
+    }
+
+    /// Waits until it says something, at most so many milliseconds.
+    pub(super) fn wait(&self, milliseconds: i32) {
+        if self.line.closed() {
+            std::thread::sleep(Duration::from_millis(milliseconds.unsigned_abs().into()));
+        } else {
+            readable(&[self.line.fd()], milliseconds);
+        }
     }
 
     /// How it died, if it is dead. To be asked when its line is closed, and after its last answers are read.

@@ -14,6 +14,7 @@ use super::control::{Answer, Line, Order};
 use super::error::RunError;
 use super::orders::Orders;
 use super::plan::{self, RUN_FILE, RunFile, Settings};
+use super::record;
 use super::report::Exit;
 use super::settings::{NodeSettings, Policy};
 use super::stepper::{StepError, Stepper, panicked};
@@ -45,8 +46,17 @@ pub const NODE_COMMAND: &str = "__node";
 /// }
 /// ```
 pub fn node_main(arguments: impl Iterator<Item = String>, registry: &Registry) -> ExitCode {
-    let Prepared { graph, index, settings, space, stream, stop_only } = match prepare(arguments, registry) {
-        Ok(prepared) => prepared,
+    let (graph, index, settings, space, stream, stop_only) = match prepare(arguments, registry) {
+        Ok(Prepared { graph, settings, space, stream, index: None, .. }) => {
+            record::bear_full_files();
+            if record::serve(&graph, &settings, &space, stream) == record::End::LauncherGone {
+                leave(&space);
+            }
+            return ExitCode::SUCCESS;
+        }
+        Ok(Prepared { graph, index: Some(index), settings, space, stream, stop_only }) => {
+            (graph, index, settings, space, stream, stop_only)
+        }
         Err(error) => {
             eprintln!("{error}");
             return ExitCode::FAILURE;
@@ -91,7 +101,8 @@ fn stop_after_crash(graph: &Graph, index: usize, settings: &Settings) -> bool {
 /// What a node process knows before it does anything.
 struct Prepared {
     graph: Graph,
-    index: usize,
+    /// Which node it is; none for the recorder.
+    index: Option<usize>,
     settings: Settings,
     space: Space,
     stream: UnixStream,
@@ -113,7 +124,10 @@ fn prepare(arguments: impl Iterator<Item = String>, registry: &Registry) -> Resu
     let file = space.read(RUN_FILE)?;
     let RunFile { graph, settings } = serde_json::from_slice(&file).map_err(|e| refuse(e.to_string()))?;
     let graph = graph.validate(registry)?;
-    let index = graph.index(node).ok_or_else(|| refuse(format!("the graph has no node {node}")))?;
+    let index = match graph.index(node) {
+        None if node != record::NAME => return Err(refuse(format!("the graph has no node {node}"))),
+        index => index,
+    };
     name_process(node);
     Ok(Prepared { graph, index, settings, space, stream, stop_only })
 }
@@ -308,7 +322,16 @@ fn work(
                 }
                 break clock;
             }
-            Some(Some(Order::SenderGone { .. }) | None) => {}
+            // What is for a recorder is for nobody here.
+            Some(
+                Some(
+                    Order::SenderGone { .. }
+                    | Order::Record { .. }
+                    | Order::Fault { .. }
+                    | Order::Finish { .. },
+                )
+                | None,
+            ) => {}
             Some(Some(Order::Stop)) => {
                 let problem = stepper.finish(WallClock::starting_in(0), Stopping::Over);
                 answers.send(&Answer::Done { exit: Exit::Clean, problem, ends_run: false });

@@ -46,6 +46,8 @@ pub struct RecordingWriter {
     origin: Nanos,
     /// Log time of the first message of the open chunk.
     chunk_start: Option<u64>,
+    /// Bytes of all messages so far.
+    bytes: u64,
 }
 
 /// Where one node's records go.
@@ -138,7 +140,18 @@ impl RecordingWriter {
         // The channels get a chunk of their own at the front: damage further on then leaves the rest readable.
         mcap.flush().map_err(fail)?;
         let cdr = CdrWriter::default();
-        Ok(Self { path: path.into(), mcap, cdr, tracks, losses, faults, notes: 0, origin, chunk_start: None })
+        Ok(Self {
+            path: path.into(),
+            mcap,
+            cdr,
+            tracks,
+            losses,
+            faults,
+            notes: 0,
+            origin,
+            chunk_start: None,
+            bytes: 0,
+        })
     }
 
     /// Writes a message of the node with this index in the description.
@@ -244,6 +257,21 @@ impl RecordingWriter {
         self.put(channel, self.notes - 1, time)
     }
 
+    /// Hands everything that was written so far to the system: it survives the end of this process.
+    ///
+    /// # Errors
+    ///
+    /// [`RecordingError::Write`], when the disk is full, for instance.
+    pub fn flush(&mut self) -> Result<(), RecordingError> {
+        self.chunk_start = None;
+        self.mcap.flush().map_err(|source| RecordingError::Write { path: self.path.clone(), source })
+    }
+
+    /// Bytes of the messages written so far: about the length of the file.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
     /// Ends the recording of a run that lasted `duration`: the rest is written, and the summary that lets
     /// readers jump.
     ///
@@ -275,6 +303,8 @@ impl RecordingWriter {
             self.mcap.flush().map_err(fail)?;
             self.chunk_start = Some(time);
         }
+        // What stands around a message: its record's head and its entry in the chunk's index.
+        self.bytes += self.cdr.bytes().len() as u64 + 47;
         let header = MessageHeader { channel_id, sequence, log_time: time, publish_time: time };
         self.mcap.write_to_known_channel(&header, self.cdr.bytes()).map_err(fail)
     }

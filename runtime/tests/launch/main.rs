@@ -10,6 +10,7 @@ mod conformance;
 mod failures;
 mod faults;
 mod nodes;
+mod recorder;
 mod runs;
 mod safety;
 mod settings;
@@ -47,6 +48,7 @@ fn main() -> ExitCode {
         settings::TESTS,
         failures::TESTS,
         faults::TESTS,
+        recorder::TESTS,
         safety::TESTS,
         wall::TESTS,
         allocation::TESTS,

@@ -1,0 +1,443 @@
+//! What the recorder does: it takes the records of all nodes from shared memory and writes them to files.
+//!
+//! It takes a bounded number of records at a time, so that its memory does not grow however far it is behind; what waits
+//! longer than the channels have room is counted as lost. When the disk takes no more, it goes on counting, and tries
+//! again with a new file. About once a second it writes down in shared memory what has reached the disk, so that another
+//! recorder can take over where it died.
+
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use serde::{Deserialize, Serialize};
+
+use super::Rotate;
+use super::control::{Answer, Line, Order};
+use super::error::RunError;
+use super::plan::{self, CONSUMED, INITIAL, INPUT_HEAD, LOSS, LOSS_WORDS, STEP, STEP_HEAD, Settings};
+use crate::channel::{Endpoint, Space, Subscriber};
+use crate::graph::Graph;
+use crate::node::Consumed;
+use crate::recording::{
+    Clock, Description, Fault, InputRecord, Loss, RecordingError, RecordingWriter, StepRecord,
+};
+use crate::time::Nanos;
+
+/// What the recorder is called among nodes, whose names are made of letters, digits and underscores.
+pub(super) const NAME: &str = "@recorder";
+
+/// Milliseconds between two visits to the channels: short against the seconds of room that they have, long against a step.
+const VISIT: i32 = 4;
+/// Words taken from the channels before they are written: the recorder's memory.
+const BATCH: usize = 1 << 20;
+/// How often what was written is made sure of.
+const CERTAIN: Duration = Duration::from_secs(1);
+/// How long a disk that takes nothing is left alone, at first and at most.
+const RETRY: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(30));
+/// A launcher that is gone leaves nodes that stop by themselves; they are recorded until they are silent for so long.
+const SILENCE: Duration = Duration::from_millis(300);
+/// Messages that one record may call lost: more cannot have been under way.
+const MOST_LOST: u64 = 1 << 20;
+/// Where the ledger lies in the run's directory.
+const LEDGER: &str = "recorder.json";
+
+/// What a recorder has done, as the next one, or the launcher, finds it.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct Ledger {
+    /// The files, in the order of time.
+    pub(super) files: Vec<PathBuf>,
+    /// By node: the number of the next record, how many never came, and how many came and could not be written.
+    pub(super) next: Vec<u64>,
+    pub(super) lost: Vec<u64>,
+    pub(super) unwritten: Vec<u64>,
+    /// What went wrong with the files last.
+    pub(super) problem: Option<String>,
+}
+
+impl Ledger {
+    /// The ledger of the recorder before, or an empty one.
+    pub(super) fn read(space: &Space, nodes: usize) -> Self {
+        let read = space.read(LEDGER).ok().and_then(|bytes| serde_json::from_slice::<Self>(&bytes).ok());
+        let fits = |ledger: &Self| {
+            [&ledger.next, &ledger.lost, &ledger.unwritten].iter().all(|counts| counts.len() == nodes)
+        };
+        read.filter(fits).unwrap_or_else(|| Self {
+            next: vec![0; nodes],
+            lost: vec![0; nodes],
+            unwritten: vec![0; nodes],
+            ..Self::default()
+        })
+    }
+
+    fn write(&self, space: &Space) {
+        // In two steps: whoever dies between them leaves the old one. A ledger that cannot be written costs the next
+        // recorder its counts, and this one nothing.
+        let temporary = format!("{LEDGER}.new");
+        let Ok(bytes) = serde_json::to_vec(self) else { return };
+        if space.write(&temporary, &bytes).is_ok() {
+            let _ = std::fs::rename(space.path().join(&temporary), space.path().join(LEDGER));
+        }
+    }
+}
+
+/// Makes a file that may not grow any further an error of this process, to be counted, and not a signal to die of.
+pub(super) fn bear_full_files() {
+    // SAFETY: ignoring a signal installs no code; the call takes integers only.
+    unsafe { libc::signal(libc::SIGXFSZ, libc::SIG_IGN) };
+}
+
+/// Why a recorder ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum End {
+    /// It was told to, or could not go on, and said so.
+    Said,
+    /// Its launcher is gone.
+    LauncherGone,
+}
+
+/// Records until it is told to finish, or until the launcher is gone and the nodes are silent.
+pub(super) fn serve(graph: &Graph, settings: &Settings, space: &Space, stream: UnixStream) -> End {
+    let mut line = Line::new(stream);
+    let (streams, recording) = match (open(graph, space), &settings.recorder) {
+        (Ok(streams), Some(recording)) => (streams, recording),
+        (Err(error), _) => return refuse(&mut line, error.to_string()),
+        (_, None) => return refuse(&mut line, "the run is not recorded".into()),
+    };
+    let ledger = Ledger::read(space, graph.nodes().len());
+    let mut scribe = Scribe {
+        graph,
+        space,
+        path: &recording.path,
+        rotate: recording.rotate,
+        since: vec![0; ledger.next.len()],
+        ledger,
+        streams,
+        target: Target::None,
+        clock: None,
+        wait: RETRY.0,
+        certain: Instant::now(),
+        last: 0,
+        taken: Vec::new(),
+    };
+    scribe.take_over();
+    line.send(&Answer::Listening);
+    let (mut finish, mut heard) = (None, Instant::now());
+    loop {
+        let gone = line.closed();
+        if gone {
+            std::thread::sleep(Duration::from_millis(VISIT as u64));
+        }
+        for order in line.receive(VISIT).unwrap_or_else(|_| {
+            // Somebody else speaks on the line: the launcher is none.
+            line.hang_up();
+            Vec::new()
+        }) {
+            match order {
+                Order::Record { clock } => scribe.begin(clock),
+                Order::Fault { fault } => scribe.fault(&fault),
+                Order::Finish { duration } => finish = Some(duration),
+                _ => {}
+            }
+        }
+        let taken = match scribe.visit() {
+            Ok(taken) => taken,
+            Err(error) => return refuse(&mut line, error.to_string()),
+        };
+        if taken > 0 {
+            heard = Instant::now();
+        }
+        if gone && finish.is_none() && heard.elapsed() > SILENCE {
+            finish = Some(scribe.last);
+        }
+        // What is left is written before the end, however much it is.
+        if let Some(duration) = finish.filter(|_| taken == 0) {
+            scribe.finish(duration);
+            line.send(&Answer::Recorded { ledger: Box::new(scribe.ledger) });
+            while !line.closed() {
+                let _ = line.receive::<Order>(1000);
+            }
+            return if gone { End::LauncherGone } else { End::Said };
+        }
+    }
+}
+
+fn refuse(line: &mut Line, reason: String) -> End {
+    line.send(&Answer::Failed { reason });
+    End::Said
+}
+
+/// One node's records.
+struct Stream {
+    subscriber: Subscriber,
+}
+
+fn open(graph: &Graph, space: &Space) -> Result<Vec<Stream>, RunError> {
+    let endpoint = Endpoint::new(space)?;
+    (0..graph.nodes().len())
+        .map(|node| {
+            let subscriber = endpoint.open(&plan::records(graph, node))?.subscriber()?;
+            Ok(Stream { subscriber })
+        })
+        .collect()
+}
+
+/// A record taken from a channel.
+struct Taken {
+    time: Nanos,
+    node: usize,
+    words: Vec<u64>,
+}
+
+/// Where records go.
+enum Target {
+    /// Nowhere yet: the clock is not known.
+    None,
+    /// Into a file, open since then.
+    File(Box<RecordingWriter>, Instant),
+    /// Nowhere: the last file failed. A new one is tried at this time.
+    Broken(Instant),
+}
+
+/// The recorder's files, and its books.
+struct Scribe<'a> {
+    graph: &'a Graph,
+    space: &'a Space,
+    path: &'a Path,
+    rotate: Option<Rotate>,
+    ledger: Ledger,
+    streams: Vec<Stream>,
+    target: Target,
+    clock: Option<Clock>,
+    /// How long a disk that takes nothing is left alone next.
+    wait: Duration,
+    /// When what was written was made sure of.
+    certain: Instant,
+    /// By node: records given to the file since then.
+    since: Vec<u64>,
+    /// The latest time of a record.
+    last: Nanos,
+    taken: Vec<Taken>,
+}
+
+impl Scribe<'_> {
+    /// The file in which a recording goes on: the first one has the name that was asked for, later ones a number.
+    fn part(&self, number: usize) -> PathBuf {
+        if number == 0 || !self.path.metadata().map_or(true, |file| file.is_file()) {
+            // What is no file, such as a device, has no others beside it.
+            return self.path.to_path_buf();
+        }
+        let stem = self.path.file_stem().unwrap_or_default().to_string_lossy();
+        let extension =
+            self.path.extension().map(|e| format!(".{}", e.to_string_lossy())).unwrap_or_default();
+        self.path.with_file_name(format!("{stem}.{number}{extension}"))
+    }
+
+    /// Says in the ledger that an earlier recorder died: its last file has no end.
+    fn take_over(&mut self) {
+        if !self.ledger.files.is_empty() {
+            self.ledger.problem.get_or_insert_with(|| "the recorder died and was started again".into());
+        }
+    }
+
+    fn begin(&mut self, clock: Clock) {
+        self.clock = Some(clock);
+        self.open_next();
+    }
+
+    fn open_next(&mut self) {
+        let Some(clock) = self.clock.clone() else { return };
+        let path = self.part(self.ledger.files.len());
+        match RecordingWriter::create(&path, &Description::new(self.graph, clock)) {
+            Ok(writer) => {
+                self.target = Target::File(Box::new(writer), Instant::now());
+                if self.ledger.files.last() != Some(&path) {
+                    self.ledger.files.push(path);
+                }
+                self.certain = Instant::now();
+                self.ledger.write(self.space);
+            }
+            Err(error) => self.fail(&error),
+        }
+    }
+
+    /// The file takes no more: what it was given since the last time that was made sure of counts as not written.
+    fn fail(&mut self, error: &RecordingError) {
+        self.ledger.problem = Some(error.to_string());
+        for (unwritten, since) in self.ledger.unwritten.iter_mut().zip(&mut self.since) {
+            *unwritten += std::mem::take(since);
+        }
+        self.target = Target::Broken(Instant::now() + self.wait);
+        self.wait = (self.wait * 2).min(RETRY.1);
+        self.ledger.write(self.space);
+    }
+
+    fn fault(&mut self, fault: &Fault) {
+        if let Target::File(file, _) = &mut self.target
+            && let Err(error) = file.fault(fault)
+        {
+            self.fail(&error);
+        }
+    }
+
+    /// Takes and writes what is there, up to a batch; gives how many records there were.
+    fn visit(&mut self) -> Result<usize, RunError> {
+        if matches!(self.target, Target::None) {
+            return Ok(0);
+        }
+        if matches!(&self.target, Target::Broken(until) if Instant::now() >= *until) {
+            self.open_next();
+        }
+        self.take()?;
+        // The order of the file is that of time, as far as one visit sees it.
+        let mut taken = std::mem::take(&mut self.taken);
+        taken.sort_by_key(|record| record.time);
+        let count = taken.len();
+        for record in taken.drain(..) {
+            self.last = self.last.max(record.time);
+            let Target::File(file, _) = &mut self.target else {
+                self.ledger.unwritten[record.node] += 1;
+                continue;
+            };
+            self.since[record.node] += 1;
+            if let Err(error) = write(self.graph, file, &record) {
+                self.fail(&error);
+            }
+        }
+        self.taken = taken;
+        self.turn_over();
+        Ok(count)
+    }
+
+    /// Makes sure of what was written, and goes on in a new file when this one is long enough.
+    fn turn_over(&mut self) {
+        let Target::File(file, opened) = &mut self.target else { return };
+        let full = match self.rotate {
+            None => false,
+            Some(Rotate::Bytes(most)) => file.bytes() >= most,
+            Some(Rotate::Time(most)) => opened.elapsed().as_nanos() >= most.unsigned_abs().into(),
+        };
+        if full {
+            let last = self.last;
+            if self.close(last) {
+                self.open_next();
+            }
+        } else if self.certain.elapsed() >= CERTAIN {
+            match file.flush() {
+                Ok(()) => self.make_certain(),
+                Err(error) => self.fail(&error),
+            }
+        }
+    }
+
+    fn make_certain(&mut self) {
+        self.certain = Instant::now();
+        self.since.fill(0);
+        self.wait = RETRY.0;
+        self.ledger.write(self.space);
+    }
+
+    /// Ends the file; says whether that went well.
+    fn close(&mut self, duration: Nanos) -> bool {
+        match std::mem::replace(&mut self.target, Target::None) {
+            Target::File(file, _) => match file.finish(duration) {
+                Ok(()) => {
+                    self.make_certain();
+                    true
+                }
+                Err(error) => {
+                    self.fail(&error);
+                    false
+                }
+            },
+            other => {
+                self.target = other;
+                false
+            }
+        }
+    }
+
+    fn finish(&mut self, duration: Nanos) {
+        self.close(duration);
+        self.ledger.write(self.space);
+    }
+
+    fn take(&mut self) -> Result<(), RunError> {
+        let mut room = BATCH;
+        for (node, Stream { subscriber }) in self.streams.iter().enumerate() {
+            let Ledger { next, lost, .. } = &mut self.ledger;
+            // Each node has its share of the room, whatever the others send.
+            let mut share = room.div_ceil(next.len() - node);
+            while share > 0 {
+                let got = subscriber.receive(|words| {
+                    let (number, time) = match *words {
+                        [LOSS, number, _, _, _, time, ..] | [STEP, number, _, _, _, time, ..] => {
+                            (number, time as Nanos)
+                        }
+                        // Only our own nodes can write here, and both ends were checked to be of one layout.
+                        _ => return,
+                    };
+                    lost[node] += number.saturating_sub(next[node]);
+                    next[node] = number.saturating_add(1);
+                    share = share.saturating_sub(words.len());
+                    room = room.saturating_sub(words.len());
+                    self.taken.push(Taken { time, node, words: words.to_vec() });
+                })?;
+                if !got {
+                    break;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+fn write(graph: &Graph, file: &mut RecordingWriter, record: &Taken) -> Result<(), RecordingError> {
+    let Taken { node, words, .. } = record;
+    if words[0] == LOSS {
+        let Some(words) = words.get(..LOSS_WORDS) else { return Ok(()) };
+        return losses(graph, *node, words).try_for_each(|loss| file.loss(&loss));
+    }
+    let Some((step, payload)) = step(graph, *node, words) else { return Ok(()) };
+    file.message(*node, step.seq, step.end, &payload)?;
+    file.step_record(*node, &step)
+}
+
+/// The losses that a record tells of, one for each message.
+fn losses<'a>(graph: &'a Graph, node: usize, words: &[u64]) -> impl Iterator<Item = Loss> + use<'a> {
+    let (input, first, count, time) = (words[2] as usize, words[3], words[4], words[5] as Nanos);
+    let reason = plan::reason_of(words[6]);
+    let receiver = &graph.nodes()[node];
+    let connection = receiver.inputs.get(input).map(|&connection| &graph.connections()[connection]);
+    (first..first.saturating_add(count.min(MOST_LOST))).filter_map(move |seq| {
+        connection.map(|connection| Loss {
+            from: graph.nodes()[connection.from].name.clone(),
+            to: receiver.name.clone(),
+            port: connection.port.clone(),
+            seq,
+            time,
+            reason,
+        })
+    })
+}
+
+/// A step and the payload that it sent.
+fn step(graph: &Graph, node: usize, words: &[u64]) -> Option<(StepRecord, Vec<f64>)> {
+    let (head, mut rest) = words.split_at_checked(STEP_HEAD)?;
+    let mut inputs = Vec::new();
+    for &connection in &graph.nodes()[node].inputs {
+        let (input, after) = rest.split_at_checked(INPUT_HEAD)?;
+        let (stamps, after) = after.split_at_checked(CONSUMED.checked_mul(input[1] as usize)?)?;
+        let consumed = stamps.chunks_exact(CONSUMED).map(|stamp| Consumed {
+            seq: (stamp[0] != INITIAL).then_some(stamp[0]),
+            sent: stamp[1] as Nanos,
+            received: stamp[2] as Nanos,
+        });
+        let port = graph.connections()[connection].port.clone();
+        inputs.push(InputRecord { port, consumed: consumed.collect(), superseded: input[0] });
+        rest = after;
+    }
+    let payload = rest.iter().map(|word| f64::from_bits(*word)).collect();
+    let [seq, due, start, end] = [head[2], head[3], head[4], head[5]];
+    let step = StepRecord { seq, due: due as Nanos, start: start as Nanos, end: end as Nanos, inputs };
+    Some((step, payload))
+}
