@@ -307,3 +307,19 @@ fn notes(node: &NodeReport) -> Vec<String> {
     note(node.made_safe.is_some(), "ended on the safe outputs of its senders".into());
     notes
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_and_times_are_told_apart() {
+        assert_eq!(rotate("500MB"), Ok(Rotate::Bytes(500_000_000)));
+        assert_eq!(rotate("1.5 GiB"), Ok(Rotate::Bytes(1_610_612_736)));
+        assert_eq!(rotate("90s"), Ok(Rotate::Time(90_000_000_000)));
+        assert_eq!(rotate("2min"), Ok(Rotate::Time(120_000_000_000)));
+        for wrong in ["", "5", "MB", "5 parsecs", "0.1s", "1kB", "-5MB", "nanMB"] {
+            assert!(rotate(wrong).is_err(), "{wrong}");
+        }
+    }
+}
