@@ -53,7 +53,7 @@ pub(crate) struct Arguments {
     /// Turns into which this time is cut; all cases take turns.
     #[arg(long, default_value_t = 4)]
     rounds: usize,
-    /// Messages a second; fewer for large ones.
+    /// Messages a second; fewer where large ones are copied.
     #[arg(long, default_value_t = 5000.0)]
     rate: f64,
     /// Sizes of a message in bytes.
