@@ -62,12 +62,12 @@ fn panels(groups: &[Group<'_>], columns: usize, width: f64) -> Drawing {
 fn class(carrier: Carrier) -> &'static str {
     match carrier {
         Carrier::Graph => "after",
-        Carrier::RecordedGraph => "blocking",
+        Carrier::RecordedGraph => "measured",
         Carrier::Channel => "fit",
         Carrier::Iceoryx2 => "before",
         Carrier::UnixSocket => "latest",
         Carrier::Crossbeam => "skip",
-        Carrier::Futex => "floor",
+        Carrier::Futex => "link",
     }
 }
 
