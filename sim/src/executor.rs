@@ -267,7 +267,9 @@ impl<'a, S: RecordingSink> Run<'a, S> {
             Class::Arrival => self.arrive(target, event.time),
             Class::Death => {
                 let plan = &self.graph.connections()[target];
-                self.nodes[plan.to].inbox.sender_dead(plan.input);
+                let inbox = &mut self.nodes[plan.to].inbox;
+                inbox.sender_dead(plan.input);
+                inbox.substitute(plan.input, event.time);
                 self.wake(plan.to, event.time)
             }
             Class::Start => {

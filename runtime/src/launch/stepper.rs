@@ -83,8 +83,6 @@ struct Input {
     superseded_before: u64,
     /// Nothing has arrived since an earlier process of this node ended.
     resumed: bool,
-    /// The sender's safe output waits for room.
-    safe_pending: bool,
 }
 
 impl Stepper {
@@ -112,7 +110,6 @@ impl Stepper {
                 consumed_before: 0,
                 superseded_before: 0,
                 resumed: false,
-                safe_pending: false,
             });
         }
         let records = match settings.recording {
@@ -206,9 +203,8 @@ impl Stepper {
             let now = clock.now();
             self.vitals.set(Vital::Beat, (clock.epoch() + now) as u64);
             if news {
-                self.learn(orders);
+                self.learn(orders, now);
             }
-            self.substitute(now);
             let wait = self.inbox.gate().ready();
             let awaits = if let Wait::Message { input, .. } = wait { input as u64 + 1 } else { 0 };
             self.vitals.set(Vital::Awaits, awaits);
@@ -252,32 +248,21 @@ impl Stepper {
         self.listener.wait(Duration::from_nanos(time.clamp(0, PATIENCE) as u64));
     }
 
-    /// Takes in which senders are gone. What they have sent since then shows that they are not.
-    fn learn(&mut self, orders: &Orders) {
-        for (index, input) in self.inputs.iter_mut().enumerate() {
+    /// Takes in which senders are gone: their safe outputs stand in for their messages.
+    fn learn(&mut self, orders: &Orders, now: Nanos) {
+        for (index, input) in self.inputs.iter().enumerate() {
             let known = self.inbox.gate().known(index);
             let Some(for_good) = orders.absence(input.sender, known) else { continue };
             // While it may come back, only those wait for it who would stop without it.
             if for_good || self.on_dead_sender == OnDeadSender::Continue {
                 self.inbox.sender_dead(index);
             }
-            input.safe_pending = true;
-        }
-        for input in &self.inputs {
-            orders.forget(input.sender);
-        }
-    }
-
-    /// Puts the safe outputs of senders that are gone where their messages would be.
-    fn substitute(&mut self, now: Nanos) {
-        for (index, input) in self.inputs.iter_mut().enumerate() {
-            if input.safe_pending && self.inbox.substitute(index, now.max(1)) {
-                input.safe_pending = false;
-                if self.inbox.is_safe(index) {
-                    self.vitals.add_safe(index);
-                }
+            if self.inbox.is_safe(index) {
+                self.inbox.substitute(index, now);
+                self.vitals.add_safe(index);
             }
         }
+        self.inputs.iter().for_each(|input| orders.forget(input.sender));
     }
 
     /// Takes everything that has arrived, each message stamped with the time it was taken.
@@ -318,7 +303,6 @@ impl Stepper {
                     self.inbox.arrive(index, seq, sent as Nanos, received, &self.inputs[index].values)?;
                 self.miss(index, arrival.missing, received)?;
                 self.inputs[index].resumed = false;
-                self.inputs[index].safe_pending = false;
                 if arrival.slot.is_none() {
                     self.lose(index, seq..seq + 1, received, LossReason::Overflow)?;
                 }

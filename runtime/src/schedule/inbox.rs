@@ -23,6 +23,8 @@ struct Ring {
     /// The newest message that arrived, and then the safe output of its sender over it.
     newest: Box<[f64]>,
     safe: Option<SafeOutput>,
+    /// It waits for room.
+    safe_pending: bool,
 }
 
 impl Inbox {
@@ -41,6 +43,7 @@ impl Inbox {
             initial: graph.nodes()[plan.from].kind.initial_message().into(),
             newest: graph.nodes()[plan.from].kind.initial_message().into(),
             safe: graph.nodes()[plan.from].safe.clone(),
+            safe_pending: false,
         });
         let windows = plans().map(|plan| InputWindow::new(plan.port.clone(), plan.leaves, plan.window));
         Self { rings: rings.collect(), windows: windows.collect(), gate }
@@ -79,6 +82,7 @@ impl Inbox {
         let arrival = self.gate.arrive(input, seq, sent, received)?;
         let ring = &mut self.rings[input];
         if ring.safe.is_some() {
+            ring.safe_pending = false;
             ring.newest.copy_from_slice(payload);
         }
         if let Some(slot) = arrival.slot {
@@ -97,18 +101,21 @@ impl Inbox {
     }
 
     /// The sender of an input is gone, for now or for good. If it has a safe output, that is the newest message from `time`
-    /// on. Says whether nothing is left to do: without room for it before the next step, this is to be called again.
+    /// on, or from when there is room for it, unless a message comes before that.
     ///
     /// # Panics
     ///
     /// When the node has no such input.
-    pub fn substitute(&mut self, input: usize, time: Nanos) -> bool {
+    pub fn substitute(&mut self, input: usize, time: Nanos) {
         let ring = &mut self.rings[input];
-        let Some(safe) = &ring.safe else { return true };
-        let Some(slot) = self.gate.substitute(input, time) else { return false };
-        safe.write_over(&mut ring.newest);
-        ring.values[slot * ring.leaves..(slot + 1) * ring.leaves].copy_from_slice(&ring.newest);
-        true
+        let Some(safe) = &ring.safe else { return };
+        // At time 0 it would pass for the initial message.
+        let slot = self.gate.substitute(input, time.max(1));
+        ring.safe_pending = slot.is_none();
+        if let Some(slot) = slot {
+            safe.write_over(&mut ring.newest);
+            ring.values[slot * ring.leaves..(slot + 1) * ring.leaves].copy_from_slice(&ring.newest);
+        }
     }
 
     /// Whether the sender of an input has a safe output.
@@ -173,6 +180,12 @@ impl Inbox {
     /// As [`StepGate::end`].
     #[inline]
     pub fn end(&mut self, end: Nanos) -> Result<(), GateError> {
-        self.gate.end(end)
+        self.gate.end(end)?;
+        for input in 0..self.rings.len() {
+            if self.rings[input].safe_pending {
+                self.substitute(input, end);
+            }
+        }
+        Ok(())
     }
 }
