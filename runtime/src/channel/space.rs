@@ -2,6 +2,7 @@
 
 use std::fs::{self, DirBuilder, File, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
+use std::os::fd::AsRawFd;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -146,6 +147,42 @@ impl Space {
         let free = free_bytes(&self.path)?;
         if free < needed {
             return Err(ChannelError::Full { path: SHARED_MEMORY.into(), needed, free });
+        }
+        Ok(())
+    }
+
+    /// Takes the memory of everything that this run has made so far. Files in shared memory are taken page by page, when a
+    /// page is first written to; when there is none left then, the writer dies of a bus error in the middle of a step.
+    ///
+    /// # Errors
+    ///
+    /// [`ChannelError::Full`].
+    pub(crate) fn commit(&self) -> Result<(), ChannelError> {
+        let shared_memory = Path::new(SHARED_MEMORY);
+        let io = |source| ChannelError::Io { what: "cannot look into", path: shared_memory.into(), source };
+        for entry in fs::read_dir(shared_memory).map_err(io)?.flatten() {
+            if !entry.file_name().to_string_lossy().starts_with(&self.prefix) {
+                continue;
+            }
+            // One that is gone by now needs nothing.
+            let Ok(file) = OpenOptions::new().read(true).write(true).open(entry.path()) else { continue };
+            let length = file.metadata().map_err(io)?.len();
+            if length == 0 {
+                continue;
+            }
+            // SAFETY: the descriptor is open for writing; the call takes integers, and changes neither length nor contents.
+            if unsafe { libc::fallocate(file.as_raw_fd(), 0, 0, length as libc::off_t) } != 0 {
+                let error = io::Error::last_os_error();
+                return match error.raw_os_error() {
+                    Some(libc::ENOSPC) => {
+                        let free = free_bytes(&self.path)?;
+                        Err(ChannelError::Full { path: SHARED_MEMORY.into(), needed: length, free })
+                    }
+                    // A file system that cannot promise memory gives it when it is written to.
+                    Some(libc::EOPNOTSUPP | libc::ENOSYS) => Ok(()),
+                    _ => Err(io(error)),
+                };
+            }
         }
         Ok(())
     }

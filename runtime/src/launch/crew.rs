@@ -16,7 +16,7 @@ use super::settings::{NodeSettings, OnDeadline};
 use super::signals::Signals;
 use super::vitals::{Vital, Vitals};
 use super::worker::Worker;
-use crate::channel::Endpoint;
+use crate::channel::{Endpoint, Space};
 use crate::clock::{WallClock, monotonic};
 use crate::graph::{Graph, OnDeadSender};
 use crate::time::Nanos;
@@ -81,6 +81,7 @@ pub(super) enum State {
 pub(super) struct Crew<'a> {
     pub(super) graph: &'a Graph,
     pub(super) settings: &'a Settings,
+    pub(super) space: &'a Space,
     pub(super) endpoint: &'a Endpoint,
     pub(super) hire: &'a Hire<'a>,
     pub(super) members: Vec<Member>,
@@ -103,6 +104,7 @@ impl<'a> Crew<'a> {
     pub(super) fn start(
         graph: &'a Graph,
         settings: &'a Settings,
+        space: &'a Space,
         endpoint: &'a Endpoint,
         hire: &'a Hire<'a>,
         vitals: Vec<Vitals>,
@@ -114,6 +116,7 @@ impl<'a> Crew<'a> {
         let mut crew = Self {
             graph,
             settings,
+            space,
             endpoint,
             hire,
             members: Vec::new(),

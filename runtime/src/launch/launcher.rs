@@ -73,9 +73,11 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
         private: std::mem::take(&mut options.private),
     };
     let hire = |node, stop_only| hire(&graph, &settings, &space, &hiring, node, stop_only);
-    let mut crew = Crew::start(&graph, &settings, &endpoint, &hire, vitals, recorder, &mut options)?;
+    let mut crew = Crew::start(&graph, &settings, &space, &endpoint, &hire, vitals, recorder, &mut options)?;
     let refused = crew.handshake()?;
     heed(refused, options.launch.refused, &mut warnings)?;
+    // Every port exists now.
+    space.commit()?;
 
     let clock = WallClock::starting_in(LEAD);
     if let Some(recorder) = &mut crew.recorder {

@@ -145,6 +145,11 @@ impl Crew<'_> {
                 // What it was refused is what it was refused at first.
                 Answer::Opened { .. } => self.members[node].worker.order(&Order::Connect),
                 Answer::Connected { .. } => {
+                    if let Err(error) = self.space.commit() {
+                        self.members[node].worker.kill();
+                        failed = Some(Exit::Failed { reason: error.to_string() });
+                        break;
+                    }
                     self.members[node].worker.order(&Order::Start { epoch: clock.epoch(), resume: true });
                     self.tell_absences(node);
                 }

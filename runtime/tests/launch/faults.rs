@@ -32,6 +32,7 @@ pub(crate) const TESTS: &[Test] = &[
     ("a_node_that_sends_nothing_is_named", a_node_that_sends_nothing_is_named),
     ("garbage_is_counted_and_harms_nobody", garbage_is_counted_and_harms_nobody),
     ("too_little_shared_memory_is_said_at_once", too_little_shared_memory_is_said_at_once),
+    ("memory_that_runs_out_is_missed_before_the_start", memory_that_runs_out_is_missed_before_the_start),
     ("twenty_runs_leave_nothing_behind", twenty_runs_leave_nothing_behind),
 ];
 
@@ -437,7 +438,7 @@ fn garbage_is_counted_and_harms_nobody() {
     assert!(last.payload[0] > 200.0, "the counter is heard again: {last:?}");
 }
 
-fn free_shared_memory() -> u64 {
+pub(crate) fn free_shared_memory() -> u64 {
     // SAFETY: statvfs is plain integers, for which all zeros are valid; the path is a literal; both outlive the call.
     unsafe {
         let mut answer: libc::statvfs = std::mem::zeroed();
@@ -466,6 +467,51 @@ fn too_little_shared_memory_is_said_at_once() {
     assert!(matches!(error, RunError::Channel(ChannelError::Full { .. })), "{error}");
     assert!(error.to_string().contains("enlarge it"), "{error}");
     assert!(start.elapsed() < Duration::from_secs(20), "before anything was started");
+}
+
+/// Under this argument this program runs a graph in a machine of its own, as far as shared memory is concerned: 4 MiB of it,
+/// which one of the nodes fills while it is built.
+pub(crate) const SMALL_COMMAND: &str = "__small";
+
+/// What the command says where a user may not have a machine of its own.
+const NOT_PERMITTED: &str = "not permitted";
+
+pub(crate) fn in_small_memory() -> std::process::ExitCode {
+    // SAFETY: the calls take integers and literals that outlive them; this process has one thread.
+    let permitted = unsafe {
+        let none = std::ptr::null();
+        (libc::unshare(libc::CLONE_NEWNS) == 0 || libc::unshare(libc::CLONE_NEWUSER | libc::CLONE_NEWNS) == 0)
+            && libc::mount(none, c"/".as_ptr(), none, libc::MS_REC | libc::MS_PRIVATE, none.cast()) == 0
+            && libc::mount(
+                c"tmpfs".as_ptr(),
+                c"/dev/shm".as_ptr(),
+                c"tmpfs".as_ptr(),
+                0,
+                c"size=4m,mode=777".as_ptr().cast(),
+            ) == 0
+    };
+    if !permitted {
+        println!("{NOT_PERMITTED}");
+        return std::process::ExitCode::SUCCESS;
+    }
+    let mut graph = graph();
+    graph.nodes[0].kind = "hog".into();
+    // A queue of some 600 KB.
+    graph.nodes[0].rate = 5000.0;
+    match run(&graph, &registry(), RunOptions { duration: Some(100_000_000), ..RunOptions::default() }) {
+        Err(error) => println!("{error}"),
+        Ok(report) => println!("{report:?}"),
+    }
+    std::process::ExitCode::SUCCESS
+}
+
+/// Shared memory that somebody fills just before the start is missed then, and not in the middle of a step.
+fn memory_that_runs_out_is_missed_before_the_start() {
+    let output = std::process::Command::new("/proc/self/exe").arg(SMALL_COMMAND).output().unwrap();
+    let said = String::from_utf8(output.stdout).unwrap() + &String::from_utf8(output.stderr).unwrap();
+    println!("  {}", said.lines().next().unwrap_or_default());
+    assert!(output.status.success(), "{said}");
+    assert!(said.starts_with(NOT_PERMITTED) || said.contains("enlarge it"), "{said}");
 }
 
 /// Descriptors, threads and children of this process.

@@ -39,6 +39,9 @@ fn main() -> ExitCode {
     if first.as_deref() == Some(safety::DRIVING_COMMAND) {
         return safety::drive(arguments);
     }
+    if first.as_deref() == Some(faults::SMALL_COMMAND) {
+        return faults::in_small_memory();
+    }
     if first.as_deref() == Some(wall::COMMAND) {
         return wall::jumping(arguments);
     }

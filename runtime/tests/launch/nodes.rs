@@ -227,6 +227,17 @@ pub(crate) fn registry() -> Registry {
                 Ok(Secret(value.ok_or_else(|| NodeError::failed("no secret was passed"))?))
             }),
         )
+        .with(
+            "hog",
+            NodeKind::new(|_| {
+                // Other programs use shared memory, too. This one leaves enough to begin with.
+                let mut file = std::fs::File::create("/dev/shm/hog").unwrap();
+                while crate::faults::free_shared_memory() > 300_000 {
+                    std::io::Write::write_all(&mut file, &[1; 4096]).unwrap();
+                }
+                Ok(Counter { trouble: Trouble::default() })
+            }),
+        )
         .with("wide", NodeKind::erased(wide(), vec![0.0; 8192], |_| Err(NodeError::failed("never built"))))
         .with(
             "wide_sink",
