@@ -338,6 +338,18 @@ fn the_documented_launch_settings_run() {
         fs::write(folder.path().join("launch.toml"), settings).unwrap();
         fail(&folder, &run, 2, says);
     };
+    // What is refused is said, at once and by name; or nothing is started.
+    let settings = "[node.camera]\ncore = 1000\n";
+    fs::write(folder.path().join("launch.toml"), settings).unwrap();
+    let output = parallax(&folder, &run);
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(
+        output.status.success() && errors.contains("warning: node camera was to run on core 1000"),
+        "{errors}"
+    );
+    fs::write(folder.path().join("launch.toml"), format!("refused = \"stop\"\n{settings}")).unwrap();
+    fail(&folder, &run, 3, &["refused", "camera", "core 1000"]);
+
     wrong("[node.agen]\n", &["launch.toml: [node.agen]", "did you mean `agent`?"]);
     wrong("[defaults]\npolicy = \"hard\"\n", &["launch.toml", "line 2", "hard"]);
     fs::remove_file(folder.path().join("launch.toml")).unwrap();

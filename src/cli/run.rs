@@ -82,6 +82,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         launch: launch_spec(arguments)?,
         spread: !arguments.no_spread,
         progress: Some(watch(&bar)),
+        warn: Some(warn(&bar)),
         events: Some(tell(&bar)),
         ..RunOptions::default()
     };
@@ -187,6 +188,12 @@ pub(crate) fn watch(bar: &ProgressBar) -> Box<dyn FnMut(launch::Progress) -> boo
     })
 }
 
+/// Says warnings on standard error as they come up.
+fn warn(bar: &ProgressBar) -> launch::Warner {
+    let bar = bar.clone();
+    Box::new(move |warning| bar.suspend(|| eprintln!("warning: {warning}")))
+}
+
 /// Says on standard error what happens to nodes, above the bar.
 fn tell(bar: &ProgressBar) -> launch::Watcher {
     let bar = bar.clone();
@@ -215,9 +222,6 @@ pub(crate) fn ended(report: &RunReport) -> Result<Outcome, Failure> {
 }
 
 fn print(report: &RunReport) {
-    for warning in &report.warnings {
-        eprintln!("warning: {warning}");
-    }
     output::line(format!(
         "{}: {:.3} s, started in {}, {:.1} MiB of shared memory",
         report.graph,

@@ -13,7 +13,7 @@ use super::settings::{NodeSettings, Refused, RunAs};
 use super::signals::Signals;
 use super::vitals::Vitals;
 use super::worker::Worker;
-use super::{RunOptions, cores, worker_main};
+use super::{RunOptions, Warner, cores, worker_main};
 use crate::channel::{Endpoint, Service, Space};
 use crate::clock::{WallClock, monotonic};
 use crate::graph::{Graph, GraphSpec};
@@ -36,7 +36,9 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
     let graph = spec.validate(registry)?;
     let mut nodes = options.launch.resolve(&graph, &options.base())?;
     let signals = if options.signals { Some(Signals::watch().map_err(RunError::Signals)?) } else { None };
-    let (mut warnings, refused) = cores::assign(&graph, &mut nodes, options.spread)?;
+    let mut warnings = Warnings { tell: options.warn.take(), list: Vec::new() };
+    let (worth_knowing, refused) = cores::assign(&graph, &mut nodes, options.spread)?;
+    warnings.extend(worth_knowing);
     heed(refused, options.launch.refused, &mut warnings)?;
     check_private(&graph, &nodes, &options)?;
     let space = Space::create()?;
@@ -106,7 +108,7 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
         events: journal.events,
         events_omitted: journal.omitted,
         recording,
-        warnings,
+        warnings: warnings.list,
     })
 }
 
@@ -129,8 +131,25 @@ fn never_stepped(node: &NodeReport) -> String {
     format!("node {} made no step: {why}", node.node)
 }
 
+/// What is worth knowing, told as soon as it is known, and kept for the report.
+struct Warnings {
+    tell: Option<Warner>,
+    list: Vec<String>,
+}
+
+impl Warnings {
+    fn extend(&mut self, warnings: impl IntoIterator<Item = String>) {
+        for warning in warnings {
+            if let Some(tell) = &mut self.tell {
+                tell(&warning);
+            }
+            self.list.push(warning);
+        }
+    }
+}
+
 /// What the system refused becomes a warning, or the end, as was asked.
-fn heed(refused: Vec<String>, then: Refused, warnings: &mut Vec<String>) -> Result<(), RunError> {
+fn heed(refused: Vec<String>, then: Refused, warnings: &mut Warnings) -> Result<(), RunError> {
     if then == Refused::Stop && !refused.is_empty() {
         return Err(RunError::Refused { refused });
     }

@@ -96,6 +96,9 @@ pub enum Rotate {
     Time(Nanos),
 }
 
+/// Takes warnings as they come up.
+pub type Warner = Box<dyn FnMut(&str)>;
+
 /// Settings of a run.
 pub struct RunOptions {
     /// How long to run, from the common start; without it, until Ctrl-C.
@@ -131,6 +134,9 @@ pub struct RunOptions {
     pub patience: Duration,
     /// Called about twenty times a second while the run goes on; `false` stops the run.
     pub progress: Option<Box<dyn FnMut(Progress) -> bool>>,
+    /// Called with each warning, such as a setting that the system refuses, as soon as it is known. The
+    /// [report](RunReport::warnings) has them, too.
+    pub warn: Option<Warner>,
     /// Called when something happens to a node. The [report](RunReport::events) has it, too.
     pub events: Option<Watcher>,
 }
@@ -152,6 +158,7 @@ impl Default for RunOptions {
             node_command: vec![NODE_COMMAND.into()],
             patience: Duration::from_secs(10),
             progress: None,
+            warn: None,
             events: None,
         }
     }
