@@ -99,20 +99,26 @@ impl Drop for Crew<'_> {
     }
 }
 
+/// What the crew of a run works with.
+pub(super) struct Site<'a> {
+    pub(super) graph: &'a Graph,
+    pub(super) settings: &'a Settings,
+    pub(super) space: &'a Space,
+    pub(super) endpoint: &'a Endpoint,
+    pub(super) hire: &'a Hire<'a>,
+}
+
 impl<'a> Crew<'a> {
     /// Starts all nodes.
     pub(super) fn start(
-        graph: &'a Graph,
-        settings: &'a Settings,
-        space: &'a Space,
-        endpoint: &'a Endpoint,
-        hire: &'a Hire<'a>,
+        site: Site<'a>,
         vitals: Vec<Vitals>,
         recorder: Option<Recorder<'a>>,
         options: &mut RunOptions,
     ) -> Result<Self, RunError> {
         let journal = Journal { tell: options.events.take(), ..Journal::default() };
         let (patience, stopping) = (options.patience, Vec::new());
+        let Site { graph, settings, space, endpoint, hire } = site;
         let mut crew = Self {
             graph,
             settings,
@@ -343,8 +349,11 @@ impl<'a> Crew<'a> {
             if let Some(problem) = problem {
                 self.note(clock, node, EventKind::StopFailed { problem });
             }
-            if exit != Exit::Clean && !over {
-                self.mourn(node, &exit, clock);
+            // Also what nobody has to be told any more belongs into the recording.
+            match over {
+                _ if exit == Exit::Clean => {}
+                true => self.record_end(node, &exit, clock),
+                false => self.mourn(node, &exit, clock),
             }
             self.members[node].state = State::Over;
             self.members[node].exit = Some(exit);

@@ -4,12 +4,14 @@ use std::collections::BTreeMap;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::control::Order;
-use super::crew::Crew;
+use super::crew::{Crew, Site};
 use super::error::RunError;
 use super::plan::{self, RUN_FILE, RecordingPlan, RunFile, Settings};
+use super::priority::Raised;
 use super::recorder::Recorder;
 use super::report::{End, NodeReport, RecordingReport, RunReport};
-use super::settings::{NodeSettings, Refused, RunAs};
+use super::settings::{NodeSettings, Policy, Refused, RunAs};
+
 use super::signals::Signals;
 use super::vitals::Vitals;
 use super::worker::Worker;
@@ -75,11 +77,13 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
         private: std::mem::take(&mut options.private),
     };
     let hire = |node, stop_only| hire(&graph, &settings, &space, &hiring, node, stop_only);
-    let mut crew = Crew::start(&graph, &settings, &space, &endpoint, &hire, vitals, recorder, &mut options)?;
+    let site = Site { graph: &graph, settings: &settings, space: &space, endpoint: &endpoint, hire: &hire };
+    let mut crew = Crew::start(site, vitals, recorder, &mut options)?;
     let refused = crew.handshake()?;
     heed(refused, options.launch.refused, &mut warnings)?;
     // Every port exists now.
     space.commit()?;
+    let _raised = Raised::current(settings.nodes.iter().any(|node| node.policy != Policy::Other));
 
     let clock = WallClock::starting_in(LEAD);
     if let Some(recorder) = &mut crew.recorder {

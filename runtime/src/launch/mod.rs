@@ -36,6 +36,7 @@ mod event;
 mod launcher;
 mod orders;
 mod plan;
+mod priority;
 mod record;
 mod recorder;
 mod records;

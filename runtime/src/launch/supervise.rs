@@ -294,7 +294,7 @@ impl Crew<'_> {
         }
     }
 
-    fn record_end(&self, node: usize, exit: &Exit, clock: WallClock) {
+    pub(super) fn record_end(&self, node: usize, exit: &Exit, clock: WallClock) {
         let kind = match exit {
             Exit::Clean => return,
             Exit::Failed { reason } => FaultKind::Failed { message: reason.clone() },

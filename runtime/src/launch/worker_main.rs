@@ -14,6 +14,7 @@ use super::control::{Answer, Line, Order};
 use super::error::RunError;
 use super::orders::Orders;
 use super::plan::{self, RUN_FILE, RunFile, Settings};
+use super::priority::Raised;
 use super::record;
 use super::report::Exit;
 use super::settings::{NodeSettings, Policy};
@@ -349,6 +350,7 @@ fn work(
         scope.spawn(|| {
             // Not on the node's core: a node that polls under a real-time policy would keep this thread from running.
             allow(&anywhere);
+            let _raised = Raised::current(wishes.policy != Policy::Other);
             follow(graph, queue, &orders, &finished, &wake, own);
         });
         // However the node ends, the thread beside it must end too.

@@ -1,5 +1,8 @@
 //! Nodes that end, hang, flood, are late or send garbage while the run goes on: what is done, told and accounted for.
 
+use std::cell::Cell;
+use std::path::Path;
+use std::rc::Rc;
 use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};
 
@@ -38,10 +41,40 @@ pub(crate) const TESTS: &[Test] = &[
 
 /// Runs a graph for so long under these settings; gives the report and the recording.
 pub(crate) fn observe(graph: &GraphSpec, seconds: f64, settings: &str) -> (RunReport, Recording) {
+    observe_with(graph, settings, |path| options(seconds, path))
+}
+
+/// Runs a graph until half a second after a node was started again.
+pub(crate) fn observe_restart(graph: &GraphSpec, settings: &str) -> (RunReport, Recording) {
+    let back = Rc::new(Cell::new(None));
+    let seen = back.clone();
+    observe_with(graph, settings, |path| RunOptions {
+        events: Some(Box::new(move |event: &Event| {
+            if matches!(event.kind, EventKind::Restarted { .. }) {
+                seen.set(Some(Instant::now()));
+            }
+        })),
+        progress: Some(Box::new(move |_| {
+            back.get().is_none_or(|back: Instant| back.elapsed() < Duration::from_millis(500))
+        })),
+        ..options(30.0, path)
+    })
+}
+
+fn observe_with(
+    graph: &GraphSpec,
+    settings: &str,
+    options: impl FnOnce(&Path) -> RunOptions,
+) -> (RunReport, Recording) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run.mcap");
-    let options =
-        RunOptions { launch: launch(settings), patience: Duration::from_secs(5), ..options(seconds, &path) };
+    let options = RunOptions {
+        launch: launch(settings),
+        patience: Duration::from_secs(5),
+        // Where the system allows it: other programs on a busy machine then delay no step by much.
+        real_time: true,
+        ..options(&path)
+    };
     let report = run(graph, &registry(), options).unwrap();
     let recording = Recording::read(&path).unwrap();
     balance(&report, &recording);
@@ -105,8 +138,8 @@ fn lawful(recording: &Recording) {
 const COMES_BACK: &str = "[node.counter]\nrestart = \"on-failure\"\nrestart_delay = 0.1\n";
 
 fn a_killed_node_comes_back() {
-    let (report, recording) = observe(&troubled("kill", 40), 1.0, COMES_BACK);
-    assert_eq!(report.end, End::Duration, "{report:#?}");
+    let (report, recording) = observe_restart(&troubled("kill", 40), COMES_BACK);
+    assert_eq!(report.end, End::Signal, "{report:#?}");
     let [counter, adder] = &report.nodes[..] else { panic!("two nodes") };
     assert_eq!(
         (counter.restarts, &counter.exit, &adder.exit),
@@ -120,7 +153,7 @@ fn a_killed_node_comes_back() {
     assert!(seqs[40..].iter().copied().eq(back..back + (seqs.len() - 40) as u64));
     assert_eq!(adder.inputs[0].not_sent, back - 40, "each message that was not sent is counted");
     let last = recording.nodes[1].messages.last().unwrap();
-    assert!(last.payload[0] > 150.0, "the newest number, after all: {last:?}");
+    assert!(last.payload[0] > back as f64, "the newest number, after all: {last:?}");
     let seen: Vec<&EventKind> = kinds(&report, "counter").collect();
     assert!(
         matches!(
@@ -147,26 +180,26 @@ fn a_killed_receiver_comes_back() {
     parameters.insert("what".into(), "kill".into());
     parameters.insert("at".into(), 20.into());
     let settings = "[node.adder]\nrestart = \"on-failure\"\nrestart_delay = 0.1\n";
-    let (report, recording) = observe(&graph, 1.0, settings);
+    let (report, recording) = observe_restart(&graph, settings);
     let [counter, adder] = &report.nodes[..] else { panic!("two nodes") };
     assert_eq!(
         (report.end.clone(), adder.restarts, &adder.exit),
-        (End::Duration, 1, &Exit::Clean),
+        (End::Signal, 1, &Exit::Clean),
         "{report:#?}"
     );
-    assert!(counter.steps > 150, "the sender was not held up: {report:#?}");
+    assert!(counter.steps > 60, "the sender was not held up: {report:#?}");
     let lost = reason(&adder.inputs[0], LossReason::ReceiverDown);
-    assert!((20..=160).contains(&lost), "what was sent meanwhile is lost with its reason: {report:#?}");
+    assert!(lost >= 20, "what was sent meanwhile is lost with its reason: {report:#?}");
     assert!(adder.inputs[0].in_flight <= 4, "{report:#?}");
     let last = recording.nodes[1].messages.last().unwrap();
-    assert!(last.payload[0] > 150.0, "{last:?}");
+    assert!(last.payload[0] > 60.0, "{last:?}");
     lawful(&recording);
 }
 
 fn a_thread_that_panics_comes_back() {
     let settings = format!("{COMES_BACK}run_as = \"thread\"\n[node.adder]\nrun_as = \"thread\"\n");
-    let (report, recording) = observe(&troubled("panic", 40), 0.6, &settings);
-    assert_eq!((report.end.clone(), report.nodes[0].restarts), (End::Duration, 1), "{report:#?}");
+    let (report, recording) = observe_restart(&troubled("panic", 40), &settings);
+    assert_eq!((report.end.clone(), report.nodes[0].restarts), (End::Signal, 1), "{report:#?}");
     assert!(recording.nodes[0].messages.len() > 45, "{report:#?}");
     lawful(&recording);
 }
@@ -178,7 +211,7 @@ fn a_node_that_keeps_its_frequency_comes_back() {
     // The step during which it died comes again.
     let once = folder.path().join("once");
     graph.nodes[0].parameters.insert("once".into(), once.to_str().unwrap().into());
-    let (report, recording) = observe(&graph, 0.8, COMES_BACK);
+    let (report, recording) = observe_restart(&graph, COMES_BACK);
     let seqs = recording.nodes[0].messages.iter().map(|message| message.seq);
     assert!(seqs.eq(0..recording.nodes[0].messages.len() as u64), "no number is left out");
     assert!(recording.nodes[0].messages.len() > 50, "{report:#?}");

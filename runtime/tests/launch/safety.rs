@@ -9,7 +9,7 @@ use parallax_runtime::launch::{EventKind, Exit, RunOptions, run};
 
 use crate::Test;
 use crate::failures::{alive, remains, signal};
-use crate::faults::{node_process, observe};
+use crate::faults::{node_process, observe, observe_restart};
 use crate::nodes::{driving, registry};
 use crate::settings::launch;
 
@@ -84,14 +84,14 @@ fn a_killed_sender_leaves_safe_commands() {
     // The recording says what the driver saw: a safe output is no message, and no initial one either.
     let step = recording.nodes[1].steps.last().unwrap();
     assert!(step.inputs[0].consumed[0].is_safe_output(), "{step:?}");
-    let graph = recording.graph.validate(&registry()).unwrap();
-    let check = parallax_runtime::schedule::verify(&recording, &graph, 1, &recording.nodes[1].steps);
+    let recorded = recording.graph.validate(&registry()).unwrap();
+    let check = parallax_runtime::schedule::verify(&recording, &recorded, 1, &recording.nodes[1].steps);
     assert!(check.deviation.is_none(), "{:?}", check.deviation);
 
     // When it comes back, its commands count again.
     let (_folder, log) = logged();
     let settings = "[node.counter]\nrestart = \"on-failure\"\nrestart_delay = 0.1\n";
-    let (report, _) = observe(&graph_back(&log), 0.6, settings);
+    let (report, _) = observe_restart(&graph(&log, "counter", "kill", 20), settings);
     let lines = read(&log);
     let safe = lines.iter().filter(|line| *line == "drive -42").count();
     assert!(safe > 5 && safe < lines.len() - 10, "{lines:?}");
@@ -106,10 +106,6 @@ fn a_driver_that_waits_for_a_dead_sender_ends_safely() {
     let (report, _) = observe(&graph, 60.0, "");
     assert_eq!(report.nodes[1].exit, Exit::DeadSender { sender: "counter".into() });
     ends(&read(&log), "SenderGone");
-}
-
-fn graph_back(log: &Path) -> GraphSpec {
-    graph(log, "counter", "kill", 20)
 }
 
 fn a_sender_that_hangs_leaves_safe_commands() {

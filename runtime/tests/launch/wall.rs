@@ -1,17 +1,18 @@
 //! The wall clock of the machine is set forward or back by an hour in the middle of a run, and nothing happens.
 //!
 //! To set the clock of the machine that runs the tests would be rude, and mostly forbidden. Instead this program brings its
-//! own `clock_gettime`, which the standard library and the transport then call: in a process that is told to, the wall
-//! clock jumps at a moment of the monotonic clock, in all processes of the run at once.
+//! own `clock_gettime`, which the standard library and the transport then call: in processes that are told to, the wall
+//! clock jumps in the middle of the run.
 
 use std::process::{Command, ExitCode, Stdio};
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use parallax_runtime::clock::monotonic;
-use parallax_runtime::launch::{RunOptions, run};
+use parallax_runtime::launch::{Progress, RunOptions, run};
 use parallax_runtime::node::{Node, NodeError, Step};
 use parallax_runtime::recording::Recording;
+use parallax_runtime::time::Nanos;
 
 use crate::Test;
 use crate::nodes::{Number, graph, registry};
@@ -20,8 +21,12 @@ use crate::runs::options;
 pub(crate) const TESTS: &[Test] = &[("the_wall_clock_may_jump_by_an_hour", the_wall_clock_may_jump)];
 
 const HOUR: i64 = 3600;
-/// When the wall clock jumps, on the monotonic clock, and by how many seconds.
+/// By how many seconds the wall clock jumps.
 const JUMP: &str = "TEST_WALL_CLOCK_JUMP";
+/// The step at which it does, and the time at which the launcher's does.
+const STEP: u64 = 60;
+const TIME: Nanos = 300_000_000;
+/// When it jumps in this process, on the monotonic clock.
 static AT: AtomicI64 = AtomicI64::new(i64::MAX);
 static BY: AtomicI64 = AtomicI64::new(0);
 
@@ -49,10 +54,14 @@ unsafe extern "C" fn clock_gettime(clock: libc::clockid_t, time: *mut libc::time
 
 /// Lets the wall clock of this process jump, if it is told to.
 pub(crate) fn obey() {
-    if let Some((at, by)) = std::env::var(JUMP).ok().as_deref().and_then(|jump| jump.split_once(' ')) {
-        AT.store(at.parse().unwrap(), Ordering::Relaxed);
+    if let Ok(by) = std::env::var(JUMP) {
         BY.store(by.parse().unwrap(), Ordering::Relaxed);
     }
+}
+
+/// Now.
+fn jump() {
+    AT.store(monotonic(), Ordering::Relaxed);
 }
 
 fn wall() -> f64 {
@@ -65,7 +74,10 @@ pub(crate) struct Wall;
 impl Node for Wall {
     type Output = Number<f64>;
 
-    fn step(&mut self, _: &Step<'_>) -> Result<Number<f64>, NodeError> {
+    fn step(&mut self, step: &Step<'_>) -> Result<Number<f64>, NodeError> {
+        if step.seq == STEP {
+            jump();
+        }
         Ok(Number { value: wall() })
     }
 }
@@ -77,7 +89,16 @@ pub(crate) fn jumping(mut arguments: impl Iterator<Item = String>) -> ExitCode {
     let path = std::path::PathBuf::from(arguments.next().unwrap());
     let mut graph = graph();
     graph.nodes[0].kind = "wall".into();
-    let report = run(&graph, &registry(), RunOptions { ..options(1.0, &path) }).unwrap();
+    let mut jumped = false;
+    let progress = move |progress: Progress| {
+        if progress.elapsed > TIME && !jumped {
+            jumped = true;
+            jump();
+        }
+        true
+    };
+    let options = RunOptions { real_time: true, progress: Some(Box::new(progress)), ..options(1.0, &path) };
+    let report = run(&graph, &registry(), options).unwrap();
     let undisturbed = report.clean() && report.events.is_empty() && report.duration == 1_000_000_000;
     if undisturbed { ExitCode::SUCCESS } else { panic!("{report:#?}") }
 }
@@ -86,10 +107,9 @@ fn the_wall_clock_may_jump() {
     for by in [HOUR, -HOUR] {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run.mcap");
-        let start = monotonic();
         let status = Command::new("/proc/self/exe")
             .args([COMMAND, path.to_str().unwrap()])
-            .env(JUMP, format!("{} {by}", start + 600_000_000))
+            .env(JUMP, by.to_string())
             .stdin(Stdio::null())
             .status()
             .unwrap();
@@ -102,11 +122,11 @@ fn the_wall_clock_may_jump() {
             shown.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| step.abs() > 60.0).collect();
         assert!(matches!(jumps[..], [jump] if (jump - by as f64).abs() < 5.0), "{jumps:?}");
         // And the run did not: every tick has its step, in order and in its place.
-        assert!((180..=200).contains(&track.steps.len()), "{}", track.steps.len());
+        assert!((100..=200).contains(&track.steps.len()), "{}", track.steps.len());
         for (k, step) in track.steps.iter().enumerate() {
             assert_eq!((step.seq, step.due), (k as u64, k as i64 * 5_000_000));
-            assert!(step.due <= step.start && step.start <= step.end && step.end - step.due < 500_000_000);
+            assert!(step.due <= step.start && step.start <= step.end && step.end < 2_000_000_000);
         }
-        assert!(recording.losses.is_empty() && recording.nodes[1].steps.len() >= 80);
+        assert!(recording.losses.is_empty() && recording.nodes[1].steps.len() >= 50);
     }
 }
