@@ -15,6 +15,9 @@ const CLOSED: f64 = 0.4;
 /// which nobody knows to the last percent.
 const MATERIAL: f64 = 0.005;
 
+/// The same of a further effect at the place of another one: nobody knows an effect's form better.
+const MATERIAL_BESIDE: f64 = 0.03;
+
 /// Share of the gap up to which one hypothesis may explain more than another because of its form alone.
 const FORM: f64 = 0.1;
 
@@ -73,6 +76,12 @@ impl Judge {
             return false;
         }
         if base.shooting_error <= INEXACT && !self.is_material(fit, base) {
+            return false;
+        }
+        let places = |of: &Fit| of.hypothesis.effects.iter().map(|at| at.place.clone()).collect::<Vec<_>>();
+        let known = places(base);
+        let beside = !known.is_empty() && places(fit).iter().all(|place| known.contains(place));
+        if beside && base.shooting_error - fit.shooting_error < MATERIAL_BESIDE * self.gap {
             return false;
         }
         let closes = |(after, before): (&f64, &f64)| *after < (1.0 - CLOSED) * before;

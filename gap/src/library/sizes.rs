@@ -121,7 +121,11 @@ fn level(setup: &Setup, at: &EffectAt, index: usize, spec: &EffectParameter, fit
         }
         Quantity::LevelRate => {
             let top = fastest(setup, index);
-            flat(fitted, 0.005 * top, 2.0 * top, [0.5, 0.2, 0.06].map(|s| s * top).to_vec());
+            // A command in steps is faster than any machine: one that takes seconds for its whole range is limited too.
+            let slow = range.width() / SLOW;
+            let starts = [0.5 * top, 0.2 * top, 0.06 * top, 10.0 * slow, slow];
+            let low = (0.005 * top).min(0.1 * slow);
+            flat(fitted, low, 2.0 * top, starts.into_iter().filter(|rate| *rate < top).collect());
             // Beyond any change in the log; an infinity has no place in a list of numbers.
             fitted.null = 1e6 * top;
         }
@@ -150,6 +154,9 @@ fn fastest(setup: &Setup, input: usize) -> f64 {
         .collect();
     if rates.is_empty() { 1.0 } else { crate::statistics::quantile(&mut rates, 0.98).max(1e-12) }
 }
+
+/// How long a slow machine takes for the whole range of a command (s).
+const SLOW: f64 = 5.0;
 
 /// Parameters in units of a joint's motion.
 fn joint(setup: &Setup, index: usize, effect: Effect, quantity: Quantity, fitted: &mut Fitted) {
@@ -210,6 +217,7 @@ fn joint(setup: &Setup, index: usize, effect: Effect, quantity: Quantity, fitted
             (fitted.low, fitted.high) = (-FRAC_PI_2, FRAC_PI_2);
         }
         Q::Stiffness => sized(fitted, 0.5 * force / width, &[0.05, 0.4]),
+        Q::CubicStiffness => sized(fitted, 2.0 * force / width.powi(3), &[0.2, 2.0]),
         Q::Position => {
             fitted.prior = Prior::Normal { mean: scale.position.middle(), std: width };
             let (middle, reach) = (scale.position.middle(), 10.0 * width);
@@ -348,6 +356,7 @@ fn joint_unit(setup: &Setup, joint: usize, quantity: Quantity) -> &'static str {
         Q::StribeckSpeed => ["rad/s", "m/s"],
         Q::Wavenumber => ["1/rad", "rad/m"],
         Q::Inertia => ["kg m^2", "kg"],
+        Q::CubicStiffness => ["N m/rad^3", "N/m^3"],
         Q::Stiffness | Q::StopStiffness | Q::FlexibleStiffness => ["N m/rad", "N/m"],
         Q::Position | Q::UpperStop | Q::LowerStop => ["rad", "m"],
         _ => ["", ""],

@@ -14,6 +14,13 @@ pub(super) fn spring<T: Scalar>(stiffness: T, rest: T, motion: &JointMotion<T>) 
     -(stiffness * (motion.position - rest))
 }
 
+/// A spring that hardens: F = −k (q − rest)³, the cubic term of Duffing's equation (Guckenheimer & Holmes 1983, section
+/// 2.2).
+pub(super) fn cubic_spring<T: Scalar>(stiffness: T, rest: T, motion: &JointMotion<T>) -> T {
+    let deflection = motion.position - rest;
+    -(stiffness * deflection * deflection * deflection)
+}
+
 /// A stop that pushes back in proportion to how far the joint is beyond it: F = −k max(q − limit, 0).
 pub(super) fn upper_stop<T: Scalar>(limit: T, stiffness: T, motion: &JointMotion<T>) -> T {
     -(stiffness * beyond(motion.position - limit))

@@ -99,6 +99,8 @@ pub(super) const fn of(effect: Effect) -> Entry {
             const { &[within("angle", Q::Angle, 0.0, -PI, PI)] }),
         Effect::Spring => entry("spring", "is pulled towards a position", JOINT,
             const { &[signed("stiffness", Q::Stiffness), signed("rest", Q::Position)] }),
+        Effect::SpringCubic => entry("spring", "is pulled towards a position, the harder the further away", JOINT,
+            const { &[positive("cubic_stiffness", Q::CubicStiffness), signed("rest", Q::Position)] }),
         Effect::Flexibility => entry("flexibility", "is driven through a spring", JOINT, const { &[
             positive("stiffness", Q::FlexibleStiffness), positive("damping", Q::FlexibleDamping),
             within("ratio", Q::FarShare, 0.0, 0.0, 0.95)] }),

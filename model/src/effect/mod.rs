@@ -83,6 +83,8 @@ pub enum Effect {
     GravityTilt,
     /// A spring between the joint and the world.
     Spring,
+    /// A spring that hardens with the cube of its deflection.
+    SpringCubic,
     /// A spring between the drive and the measured side of a joint: a two-mass resonance.
     Flexibility,
     /// A mass that hangs on the measured side of a joint by a spring: a form of `flexibility`.
@@ -174,6 +176,8 @@ pub enum Quantity {
     Angle,
     /// Force per position.
     Stiffness,
+    /// Force per position cubed.
+    CubicStiffness,
     /// A position of the joint.
     Position,
     /// Stiffness of a spring inside the joint.
@@ -218,7 +222,7 @@ pub struct EffectParameter {
 
 impl Effect {
     /// Every effect there is, in every form.
-    pub const ALL: [Effect; 46] = [
+    pub const ALL: [Effect; 47] = [
         Effect::Delay,
         Effect::Lag,
         Effect::LagSecondOrder,
@@ -244,6 +248,7 @@ impl Effect {
         Effect::Payload,
         Effect::GravityTilt,
         Effect::Spring,
+        Effect::SpringCubic,
         Effect::Flexibility,
         Effect::FlexibilityFar,
         Effect::ConstantForce,
@@ -403,6 +408,9 @@ impl Effect {
                 Some(body::cogging(amplitude, wavenumber, phase, motion))
             }
             (Effect::Spring, &[stiffness, rest]) => Some(body::spring(stiffness, rest, motion)),
+            (Effect::SpringCubic, &[cubic_stiffness, rest]) => {
+                Some(body::cubic_spring(cubic_stiffness, rest, motion))
+            }
             (Effect::EndStop, &[limit, stiffness]) => Some(body::upper_stop(limit, stiffness, motion)),
             (Effect::EndStopLower, &[limit, stiffness]) => Some(body::lower_stop(limit, stiffness, motion)),
             (Effect::ConstantForce | Effect::Wind, &[force]) => Some(force),

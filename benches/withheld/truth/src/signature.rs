@@ -19,7 +19,7 @@ const SEGMENT: usize = 4000;
 const ALIKE: f64 = 0.97;
 /// Sizes that are tried of a cause that comes near, and the cosine from which it does.
 const SIZES: usize = 6;
-const NEAR: f64 = 0.6;
+const NEAR: f64 = 0.3;
 /// Steps of the fit, at most.
 const STEPS: usize = 5;
 /// Sum of squares below which nothing is left to fit.
