@@ -138,7 +138,8 @@ pub(crate) fn places(posterior: &posterior::Posterior, readings: &[ReadingEffect
 fn smoothing(setup: &Setup, effect: &FittedEffect) -> Option<f64> {
     let place: Place = effect.place.parse().ok()?;
     let joint = setup.equations.system().joint(&place.key).filter(|_| place.kind == PlaceKind::Joint)?;
-    let dry = Effect::from_name(&effect.name).is_some_and(Effect::is_dry);
+    let parameters: Vec<&str> = effect.parameters.keys().map(String::as_str).collect();
+    let dry = Effect::with_parameters(&effect.name, &parameters).is_some_and(Effect::is_dry);
     dry.then(|| setup.joints[joint].smoothing)
 }
 

@@ -326,7 +326,9 @@ fn conclude(title: &str, options: &Options, found: Found, lost: Option<LostComma
     // the machine by chance: neither an effect nor a residual predicts it over a horizon, and innovations alone tell.
     let excess = with_effect.mean_square() - 1.0;
     let by_chance = black_box.mean_square() > CHANCE * with_effect.mean_square();
-    let mean_explained = with_effect.mean_square() < MEAN_EXPLAINED.powi(2) || (!detected && by_chance);
+    // An answer that makes the predictions worse explains no mean.
+    let least = with_effect.mean_square().min(refitted.mean_square());
+    let mean_explained = least < MEAN_EXPLAINED.powi(2) || (!detected && by_chance);
     let at_input = |r: &ReadingEffect| {
         by_chance
             && r.place.starts_with("input:")

@@ -39,6 +39,7 @@ const CASES: &[(Effect, PlaceKind, usize, &[f64])] = &[
     (Effect::Payload, PlaceKind::Joint, 1, &[0.1]),
     (Effect::GravityTilt, PlaceKind::Joint, 0, &[0.09]),
     (Effect::SpringCubic, PlaceKind::Joint, 0, &[0.3, 0.1]),
+    (Effect::CoulombDahl, PlaceKind::Joint, 0, &[0.1, 0.02]),
     (Effect::Spring, PlaceKind::Joint, 0, &[0.2, 0.3]),
     (Effect::Flexibility, PlaceKind::Joint, 0, &[9.0, 0.03, 0.35]),
     (Effect::FlexibilityFar, PlaceKind::Joint, 1, &[9.0, 0.03, 0.35]),

@@ -9,7 +9,7 @@ use parallax_model::effect::{Effect, PlaceKind};
 
 use super::place_index;
 use crate::hypothesis::Slot;
-use crate::search::Fit;
+use crate::search::{Fit, INEXACT};
 use crate::setup::Setup;
 use crate::statistics::{median, standard_deviation};
 
@@ -17,8 +17,9 @@ use crate::statistics::{median, standard_deviation};
 /// reading comes first within the period would pass for it, and a log does not tell.
 const WITHIN: f64 = 0.25;
 
-/// Share of a command's deviation that a saturation must leave.
-const LEFT: f64 = 0.05;
+/// Share of a command's deviation that a saturation must leave; and where what is left explains everything.
+const LEFT: f64 = 0.25;
+const LEFT_EXACT: f64 = 0.05;
 
 /// Share of time that a clipped state must be clear of its limits.
 const INSIDE: f64 = 0.1;
@@ -56,7 +57,8 @@ pub fn is_possible(setup: &Setup, fit: &Fit) -> bool {
             (Effect::Saturation | Effect::SaturationSoft, PlaceKind::Input) => {
                 let sent = &setup.experiment.inputs[index].values;
                 let left: Vec<f64> = sent.iter().map(|u| u.max(low).min(high)).collect();
-                standard_deviation(&left) >= LEFT * standard_deviation(sent)
+                let least = if fit.shooting_error <= INEXACT { LEFT_EXACT } else { LEFT };
+                standard_deviation(&left) >= least * standard_deviation(sent)
             }
             (Effect::Saturation | Effect::SaturationSoft, PlaceKind::State) => {
                 let pass = &fit.innovation.pass;

@@ -217,6 +217,10 @@ fn joint(setup: &Setup, index: usize, effect: Effect, quantity: Quantity, fitted
             (fitted.low, fitted.high) = (-FRAC_PI_2, FRAC_PI_2);
         }
         Q::Stiffness => sized(fitted, 0.5 * force / width, &[0.05, 0.4]),
+        Q::Presliding => {
+            sized(fitted, 0.05 * width, &[0.05, 0.5]);
+            fitted.low = 1e-6 * width;
+        }
         Q::CubicStiffness => sized(fitted, 2.0 * force / width.powi(3), &[0.2, 2.0]),
         Q::Position => {
             fitted.prior = Prior::Normal { mean: scale.position.middle(), std: width };
@@ -358,7 +362,7 @@ fn joint_unit(setup: &Setup, joint: usize, quantity: Quantity) -> &'static str {
         Q::Inertia => ["kg m^2", "kg"],
         Q::CubicStiffness => ["N m/rad^3", "N/m^3"],
         Q::Stiffness | Q::StopStiffness | Q::FlexibleStiffness => ["N m/rad", "N/m"],
-        Q::Position | Q::UpperStop | Q::LowerStop => ["rad", "m"],
+        Q::Position | Q::Presliding | Q::UpperStop | Q::LowerStop => ["rad", "m"],
         _ => ["", ""],
     };
     match read {

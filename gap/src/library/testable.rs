@@ -75,7 +75,12 @@ fn output(setup: &Setup, effect: Effect, index: usize) -> Result<(), String> {
             need(range.width() > 4.0 * setup.output_noise[index], "the reading never leaves its noise")?;
             need(setup.experiment.wraps[index].is_none(), "the reading turns around, and has no limits")
         }
-        Effect::Delay | Effect::ClockSkew | Effect::SensorLag | Effect::SensorLagSecondOrder => {
+        Effect::SensorLag | Effect::SensorLagSecondOrder => {
+            let system = setup.equations.system();
+            need(range.width() > 0.0, "the reading never changes in this log")?;
+            need(!system.states.is_empty(), "the reading is the command itself: it is a lag of the command")
+        }
+        Effect::Delay | Effect::ClockSkew => {
             need(range.width() > 0.0, "the reading never changes in this log")
         }
         _ => Ok(()),

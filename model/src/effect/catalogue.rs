@@ -78,6 +78,8 @@ pub(super) const fn of(effect: Effect) -> Entry {
         // Friction.
         Effect::Viscous => entry("viscous", "loses force in proportion to speed", JOINT, const { &[signed("coefficient", Q::ForcePerSpeed)] }),
         Effect::Coulomb => entry("coulomb", "loses a constant force against the motion", JOINT, const { &[positive("force", Q::Force)] }),
+        Effect::CoulombDahl => entry("coulomb", "loses a constant force against the motion, which builds up over a deflection", JOINT,
+            const { &[positive("force", Q::Force), positive("deflection", Q::Presliding)] }),
         Effect::Stribeck => entry("stribeck", "loses a force against the motion that is larger near standstill", JOINT, const { &[
             positive("coulomb", Q::Force), positive("extra", Q::Force),
             within("stribeck_speed", Q::StribeckSpeed, INF, 0.0, INF)] }),

@@ -63,6 +63,8 @@ pub enum Effect {
     Viscous,
     /// Dry friction of constant force against the motion.
     Coulomb,
+    /// Dry friction that builds up over a deflection.
+    CoulombDahl,
     /// Dry friction that is larger near standstill.
     Stribeck,
     /// Dry friction in proportion to the transmitted force.
@@ -160,6 +162,8 @@ pub enum Quantity {
     ForcePerSpeed,
     /// Force per speed squared.
     ForcePerSpeedSquared,
+    /// Over how far dry friction builds up, in the joint's unit.
+    Presliding,
     /// The speed at which dry friction has lost most of its excess.
     StribeckSpeed,
     /// Friction as a share of the transmitted force.
@@ -222,7 +226,7 @@ pub struct EffectParameter {
 
 impl Effect {
     /// Every effect there is, in every form.
-    pub const ALL: [Effect; 47] = [
+    pub const ALL: [Effect; 48] = [
         Effect::Delay,
         Effect::Lag,
         Effect::LagSecondOrder,
@@ -238,6 +242,7 @@ impl Effect {
         Effect::ClockSkew,
         Effect::Viscous,
         Effect::Coulomb,
+        Effect::CoulombDahl,
         Effect::Stribeck,
         Effect::LoadFriction,
         Effect::AsymmetricFriction,
@@ -324,7 +329,7 @@ impl Effect {
             Effect::LagSecondOrder => &[Effect::Lag],
             Effect::SensorLagSecondOrder => &[Effect::SensorLag],
             Effect::SaturationSoft => &[Effect::Saturation],
-            Effect::Stribeck | Effect::AsymmetricFriction => &[Effect::Coulomb],
+            Effect::CoulombDahl | Effect::Stribeck | Effect::AsymmetricFriction => &[Effect::Coulomb],
             Effect::AsymmetricViscous => &[Effect::Viscous],
             // A soft spring that rests far away.
             Effect::Spring => &[Effect::ConstantForce],

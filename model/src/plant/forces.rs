@@ -103,6 +103,13 @@ impl Plant {
                         out.forces.push((b.index, tilted - upright));
                     }
                 }
+                Effect::CoulombDahl => {
+                    let bristles =
+                        |s: &ExtraState| matches!(s, ExtraState::Bristles { effect, .. } if *effect == k);
+                    if let Some(built_up) = self.extra_states.iter().position(bristles) {
+                        out.forces.push((b.index, -(own[0] * states[built_up])));
+                    }
+                }
                 Effect::Flexibility | Effect::FlexibilityFar => springs.push((k, b, joint)),
                 _ => {
                     let motion = JointMotion {

@@ -25,6 +25,14 @@ pub enum ExtraState {
         /// Index of the output.
         output: usize,
     },
+    /// How far dry friction has built up against the motion, as a share of its whole force: Dahl's model (Dahl 1968, "A
+    /// solid friction model"; Armstrong-Hélouvry, Dupont & Canudas de Wit 1994, equation 24), d ζ̇ = v − |v| ζ.
+    Bristles {
+        /// Index among the plant's effects.
+        effect: usize,
+        /// Index of the joint.
+        joint: usize,
+    },
     /// How far the far side of a spring is ahead of its joint, in the joint's unit.
     Deflection {
         /// Index among the plant's effects.
@@ -45,6 +53,9 @@ pub enum ExtraState {
 /// linear in the states.
 const INSTANT: f64 = 1e-4;
 
+/// A deflection that is none, so that nothing is divided by nothing.
+const LEAST: f64 = 1e-12;
+
 /// The states that these effects bring.
 pub(super) fn of(effects: &[BoundEffect]) -> Vec<ExtraState> {
     let mut states = Vec::new();
@@ -55,6 +66,7 @@ pub(super) fn of(effects: &[BoundEffect]) -> Vec<ExtraState> {
                 ExtraState::Reading { effect, output: bound.index },
                 ExtraState::ReadingRate { effect, output: bound.index },
             ]),
+            Effect::CoulombDahl => states.push(ExtraState::Bristles { effect, joint: bound.index }),
             Effect::Flexibility | Effect::FlexibilityFar => states.extend([
                 ExtraState::Deflection { effect, joint: bound.index },
                 ExtraState::DeflectionRate { effect, joint: bound.index },
@@ -96,7 +108,9 @@ impl Plant {
                 let plain = Point { states: &point.states[..n], ..*point };
                 self.along(output, &plain, &values.derivatives)
             }
-            ExtraState::Deflection { .. } | ExtraState::DeflectionRate { .. } => 0.0,
+            ExtraState::Bristles { .. }
+            | ExtraState::Deflection { .. }
+            | ExtraState::DeflectionRate { .. } => 0.0,
         }));
         states
     }
@@ -111,6 +125,7 @@ impl Plant {
             ExtraState::ReadingRate { output, .. } => {
                 format!("{}_shown_rate_{k}", system.outputs[output].name)
             }
+            ExtraState::Bristles { joint, .. } => format!("{}_bristles_{k}", system.joints[joint].name),
             ExtraState::Deflection { joint, .. } => format!("{}_deflection_{k}", system.joints[joint].name),
             ExtraState::DeflectionRate { joint, .. } => {
                 format!("{}_deflection_rate_{k}", system.joints[joint].name)
@@ -186,6 +201,15 @@ impl Plant {
                     self.along(output, &nominal, &derivatives[..n]) - shown_rate
                 }
                 ExtraState::ReadingRate { .. } => bent,
+                ExtraState::Bristles { effect, joint } => {
+                    let nominal = Point { states: &point.states[..n], ..*point };
+                    let velocity = self.equations.joint(joint, &nominal, &values.lets).velocity;
+                    // Over a deflection that is passed within a step the force turns within a step.
+                    let passed = velocity.abs() * self.step(extra);
+                    let deflection =
+                        self.own(&self.effects[effect], extra)[1].max(passed).max(T::constant(LEAST));
+                    (velocity - velocity.abs() * point.states[n + k]) / deflection
+                }
                 ExtraState::Deflection { .. } => point.states[n + k + 1],
                 ExtraState::DeflectionRate { .. } => {
                     let own = forces.deflections.iter().find(|(first, _)| first + 1 == k);
