@@ -142,8 +142,22 @@ fn nothing_hidden_is_no_gap() {
 }
 
 #[test]
-fn friction_with_a_memory_is_none_of_these() {
+fn friction_that_builds_up_is_dry_friction() {
     let report = diagnosed(Hidden { bristle: 0.4, ..Hidden::default() }, 7).report;
+    let effect = &report.which[0].effects[0];
+    assert_eq!(
+        (effect.name.as_str(), effect.place.as_str()),
+        ("coulomb", "joint:shaft"),
+        "{}",
+        report.summary
+    );
+    let force = effect.parameters["force"].value;
+    assert!((force / (0.4 * 0.2) - 1.0).abs() < 0.2, "{force}");
+}
+
+#[test]
+fn gusts_are_none_of_these() {
+    let report = diagnosed(Hidden { gust: 0.15, ..Hidden::default() }, 7).report;
     assert!(report.gap.detected, "p = {}", report.gap.p_value);
     for answer in &report.which {
         assert!(

@@ -49,8 +49,10 @@ pub(crate) struct Hidden {
     /// A one-sided wall: stiffness beyond 0.8 rad.
     pub(crate) wall: f64,
     /// Torque for each rad by which the joint has turned without reversing, up to 0.2 rad: friction that remembers where
-    /// it last reversed, as no named effect does.
+    /// it last reversed.
     pub(crate) bristle: f64,
+    /// Torque of gusts: a third of a second each, at no even times.
+    pub(crate) gust: f64,
     /// Damping of the lag, which then is of second order.
     pub(crate) damping: f64,
     /// Fastest change of the command.
@@ -174,6 +176,9 @@ pub(crate) fn record(hidden: Hidden, seed: u64, duration: f64) -> Experiment {
         torque += hidden.vibration.0 * (std::f64::consts::TAU * hidden.vibration.1 * t + 0.9).sin();
         bristle = (bristle + h * w).clamp(-0.2, 0.2);
         torque -= hidden.bristle * bristle;
+        if [1.3, 2.9, 6.4, 7.2, 11.8, 13.1, 17.9].iter().any(|from| (*from..from + 0.33).contains(&t)) {
+            torque += hidden.gust;
+        }
         if hidden.wall > 0.0 && q > 0.8 {
             torque -= hidden.wall * (q - 0.8);
         }
