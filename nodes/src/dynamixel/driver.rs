@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use parallax_runtime::node::{Node, NodeError, Step};
+use parallax_runtime::node::{Node, NodeError, Step, Stopping};
 use parallax_runtime::registry::NodeKind;
 use parallax_runtime::time::to_seconds;
 use serde::Deserialize;
@@ -214,15 +214,26 @@ impl Node for Servo {
         }
         Ok(self.state)
     }
+
+    fn stop(&mut self, _: Stopping) {
+        self.release();
+    }
 }
 
-impl Drop for Servo {
-    fn drop(&mut self) {
-        // However the run ends, the motor is not driven any more. A servo that does not hear this has its watchdog.
+impl Servo {
+    /// The motor is not driven any more. A servo that does not hear this has its watchdog.
+    fn release(&mut self) {
         for _ in 0..3 {
             if self.bus.write(self.id, table::TORQUE_ENABLE, &[0]).is_ok() {
                 break;
             }
         }
+    }
+}
+
+impl Drop for Servo {
+    fn drop(&mut self) {
+        // One that was never started is not stopped either.
+        self.release();
     }
 }
