@@ -34,6 +34,9 @@ pub enum Fate {
         /// The parameter.
         by: String,
     },
+    /// Its best fit is not what it says it is: a limit that leaves next to nothing, or that readings exceed; a lag that is
+    /// over before it shows.
+    Impossible,
     /// It could not be tested.
     NotTestable {
         /// Why, as the end of a sentence.
@@ -145,6 +148,14 @@ pub fn explain(evidence: &Evidence<'_>, patterns: &[Pattern]) -> Vec<Explanation
     }
     for n in evidence.not_testable.iter().filter(|n| fits(&n.effect)) {
         out.push(plain(n.effect.label(), Fate::NotTestable { reason: n.reason.clone() }));
+    }
+    if !evidence.setup.stop.asked() {
+        let (known, _) = library::candidates(evidence.setup);
+        let labels: Vec<String> = out.iter().map(|e| e.effect.clone()).collect();
+        let missing = known.iter().filter(|at| fits(at)).map(EffectAt::label);
+        out.extend(
+            missing.filter(|label| !labels.contains(label)).map(|label| plain(label, Fate::Impossible)),
+        );
     }
     // Forms of one effect share a label: what was fitted stands for those that were not.
     let mut seen = Vec::new();
@@ -279,6 +290,11 @@ impl fmt::Display for Explanation {
             Fate::Absorbed { by } => {
                 writeln!(f, "{effect} is not fitted: the calibrated parameter `{by}` does the same here")?;
             }
+            Fate::Impossible => writeln!(
+                f,
+                "{effect} is not an answer: its best fit would be a limit that leaves next to nothing or that readings \
+                 exceed, or a lag that is over before it shows"
+            )?,
             Fate::NotTestable { reason } => writeln!(f, "{effect} is not testable: {reason}")?,
         }
         if let (Some(evidence), Some(null)) = (self.evidence, self.against_no_effect) {

@@ -24,6 +24,11 @@ fn entry(explanation: &Explanation) -> String {
         Fate::Absorbed { by } => {
             format!("is not fitted: the calibrated parameter <code>{}</code> does the same here.", escape(by))
         }
+        Fate::Impossible => {
+            "is not an answer: its best fit would be a limit that leaves next to nothing or that readings \
+                             exceed, or a lag that is over before it shows."
+                .to_owned()
+        }
         Fate::NotTestable { reason } => format!("is not testable: {}.", escape(reason)),
     };
     let leads = explanation.fate == Fate::Leads;
