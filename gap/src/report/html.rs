@@ -4,7 +4,9 @@ use super::answer::{Answer, answers};
 use super::draw::{Pen, escape, typeset};
 use super::overlay;
 use super::readings::Readings;
-use super::{Confusable, Overlay, Report, bars, closed_loop, explained, format, maps, recorded};
+use super::{
+    Confusable, FittedEffect, Overlay, Report, bars, closed_loop, explained, format, maps, recorded,
+};
 use crate::closed_loop::Controlled;
 use crate::plot::page;
 
@@ -114,8 +116,11 @@ fn overlays_section(report: &Report, overlays: &[Overlay]) -> String {
         return section("Measured and predicted", "", "<p>No held-out readings were kept.</p>\n");
     }
     let horizon = set(&format::number(report.how_far.horizon_s, 3));
+    let is_loss = |effect: &FittedEffect| effect.name == "drops" && effect.place.starts_with("input:");
+    let losses = report.which.first().is_some_and(|answer| answer.effects.iter().any(is_loss));
+    let told = if losses { " Which commands were lost is told by these readings, too." } else { "" };
     let note = format!(
-        "Held-out time, which no fit has seen. Each prediction runs {horizon}\u{a0}s from a state estimated from \
+        "Held-out time, which no fit has seen.{told} Each prediction runs {horizon}\u{a0}s from a state estimated from \
          earlier samples only. Before: the nominal system with its parameters refitted. Residual: predicted minus \
          measured."
     );
