@@ -143,7 +143,7 @@ fn nothing_hidden_is_no_gap() {
 
 #[test]
 fn friction_that_builds_up_is_dry_friction() {
-    let report = diagnosed(Hidden { bristle: 0.4, ..Hidden::default() }, 7).report;
+    let report = diagnosed(Hidden { bristle: 1.6, ..Hidden::default() }, 7).report;
     let effect = &report.which[0].effects[0];
     assert_eq!(
         (effect.name.as_str(), effect.place.as_str()),
@@ -152,7 +152,7 @@ fn friction_that_builds_up_is_dry_friction() {
         report.summary
     );
     let force = effect.parameters["force"].value;
-    assert!((force / (0.4 * 0.2) - 1.0).abs() < 0.2, "{force}");
+    assert!((force / (1.6 * 0.05) - 1.0).abs() < 0.2, "{force}");
 }
 
 #[test]

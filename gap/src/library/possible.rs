@@ -21,6 +21,9 @@ const WITHIN: f64 = 0.25;
 const LEFT: f64 = 0.25;
 const LEFT_EXACT: f64 = 0.05;
 
+/// Share of its largest deflection below which dry friction must have built up.
+const LONGEST: f64 = 0.9;
+
 /// Share of time that a clipped state must be clear of its limits.
 const INSIDE: f64 = 0.1;
 
@@ -66,6 +69,11 @@ pub fn is_possible(setup: &Setup, fit: &Fit) -> bool {
                 let clear = CLEAR * setup.state_range[index].width();
                 let inside = went.clone().filter(|x| **x > low + clear && **x < high - clear).count();
                 inside as f64 >= INSIDE * went.count() as f64
+            }
+            (Effect::CoulombDahl, _) => {
+                let deflection = fit.hypothesis.fitted.iter().position(|f| f.name == "deflection");
+                // One that wants to build up over a longer way follows whatever else is unknown.
+                deflection.is_none_or(|at| fit.estimate()[at] < LONGEST * fit.hypothesis.fitted[at].high)
             }
             (Effect::SensorSaturation, _) => {
                 let noise = setup.output_noise[index];

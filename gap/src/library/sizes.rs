@@ -218,8 +218,9 @@ fn joint(setup: &Setup, index: usize, effect: Effect, quantity: Quantity, fitted
         }
         Q::Stiffness => sized(fitted, 0.5 * force / width, &[0.05, 0.4]),
         Q::Presliding => {
-            sized(fitted, 0.05 * width, &[0.05, 0.5]);
-            fitted.low = 1e-6 * width;
+            sized(fitted, 0.02 * width, &[0.1, 1.0]);
+            // What builds up over a good part of the way is a spring.
+            (fitted.low, fitted.high) = (1e-6 * width, 0.1 * width);
         }
         Q::CubicStiffness => sized(fitted, 2.0 * force / width.powi(3), &[0.2, 2.0]),
         Q::Position => {

@@ -323,9 +323,14 @@ impl Judged {
     fn against(self, parts: Option<(Sensitivity, Sensitivity)>, place: &str) -> Option<ReadingEffect> {
         let (train, test) = parts?;
         let density = densities(&train, &test, self.scale);
-        let natural = train.floor(0.0) / root_mean_square(&train.size);
+        // A wrong mean lies along the kicks as well; chance alone makes innovations large where kicks are.
+        let (floor, size) = (train.floor(0.0), root_mean_square(&train.size));
+        let (natural, plain) = (floor / size, train.log(0.0, floor));
+        let gain = |scale: f64| train.log(scale, train.floor(scale)) - plain;
+        let by_size = peak(1e-2 * natural, 1e2 * natural, gain).log_evidence;
+        let evidence = self.evidence.max(-2.0 * by_size);
         let notable = train.is_white() && self.scale > NOTABLE * natural && density.with > density.without;
-        Some(found(self.name, place.into(), (self.parameter, self.value), self.evidence, notable, density))
+        Some(found(self.name, place.into(), (self.parameter, self.value), evidence, notable, density))
     }
 }
 

@@ -48,7 +48,7 @@ pub(crate) struct Hidden {
     pub(crate) gravity: f64,
     /// A one-sided wall: stiffness beyond 0.8 rad.
     pub(crate) wall: f64,
-    /// Torque for each rad by which the joint has turned without reversing, up to 0.2 rad: friction that remembers where
+    /// Torque for each rad by which the joint has turned without reversing, up to 0.05 rad: friction that remembers where
     /// it last reversed.
     pub(crate) bristle: f64,
     /// Torque of gusts: a third of a second each, at no even times.
@@ -174,7 +174,7 @@ pub(crate) fn record(hidden: Hidden, seed: u64, duration: f64) -> Experiment {
         torque += hidden.poles.0 * (hidden.poles.1 * q + 0.6).sin();
         torque -= hidden.spring.0 * (q - hidden.spring.1);
         torque += hidden.vibration.0 * (std::f64::consts::TAU * hidden.vibration.1 * t + 0.9).sin();
-        bristle = (bristle + h * w).clamp(-0.2, 0.2);
+        bristle = (bristle + h * w).clamp(-0.05, 0.05);
         torque -= hidden.bristle * bristle;
         if [1.3, 2.9, 6.4, 7.2, 11.8, 13.1, 17.9].iter().any(|from| (*from..from + 0.33).contains(&t)) {
             torque += hidden.gust;
