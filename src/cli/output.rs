@@ -26,17 +26,13 @@ pub(crate) fn table(header: &[&str], rows: &[Vec<String>]) {
         cells.chain([header[column].chars().count()]).max().unwrap_or(0)
     };
     let widths: Vec<usize> = (0..header.len()).map(width).collect();
-    let is_number = |cell: &str| cell.starts_with(|c: char| c.is_ascii_digit() || c == '-');
     // Numbers stand below each other; a sentence that begins with one is none.
-    let numbers: Vec<bool> = (0..header.len())
-        .map(|column| {
-            let count = rows.iter().filter_map(|row| row.get(column)).filter(|cell| is_number(cell)).count();
-            2 * count >= rows.len()
-        })
-        .collect();
+    let is_number = |cell: &str| {
+        cell.starts_with(|c: char| c.is_ascii_digit() || c == '-') && cell.split_whitespace().count() < 3
+    };
     let print = |cells: &mut dyn Iterator<Item = &str>| {
         let mut text = String::from(" ");
-        for ((cell, width), numbers) in cells.zip(&widths).zip(&numbers) {
+        for (cell, width) in cells.zip(&widths) {
             let pad = " ".repeat(width.saturating_sub(cell.chars().count()));
             text +=
                 &if *numbers && is_number(cell) { format!(" {pad}{cell}") } else { format!(" {cell}{pad}") };
