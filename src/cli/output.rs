@@ -34,8 +34,7 @@ pub(crate) fn table(header: &[&str], rows: &[Vec<String>]) {
         let mut text = String::from(" ");
         for (cell, width) in cells.zip(&widths) {
             let pad = " ".repeat(width.saturating_sub(cell.chars().count()));
-            text +=
-                &if *numbers && is_number(cell) { format!(" {pad}{cell}") } else { format!(" {cell}{pad}") };
+            text += &if is_number(cell) { format!(" {pad}{cell}") } else { format!(" {cell}{pad}") };
         }
         line(text.trim_end());
     };
