@@ -79,11 +79,7 @@ pub(super) enum State {
 
 /// The nodes of a run, and the recorder.
 pub(super) struct Crew<'a> {
-    pub(super) graph: &'a Graph,
-    pub(super) settings: &'a Settings,
-    pub(super) space: &'a Space,
-    pub(super) endpoint: &'a Endpoint,
-    pub(super) hire: &'a Hire<'a>,
+    pub(super) site: Site<'a>,
     pub(super) members: Vec<Member>,
     pub(super) recorder: Option<Recorder<'a>>,
     pub(super) journal: Journal,
@@ -118,23 +114,11 @@ impl<'a> Crew<'a> {
     ) -> Result<Self, RunError> {
         let journal = Journal { tell: options.events.take(), ..Journal::default() };
         let (patience, stopping) = (options.patience, Vec::new());
-        let Site { graph, settings, space, endpoint, hire } = site;
-        let mut crew = Self {
-            graph,
-            settings,
-            space,
-            endpoint,
-            hire,
-            members: Vec::new(),
-            recorder,
-            journal,
-            patience,
-            stopping,
-        };
+        let mut crew = Self { site, members: Vec::new(), recorder, journal, patience, stopping };
         for (node, vitals) in vitals.into_iter().enumerate() {
             crew.members.push(Member {
-                worker: hire(node, false)?,
-                settings: settings.nodes[node].clone(),
+                worker: (crew.site.hire)(node, false)?,
+                settings: crew.site.settings.nodes[node].clone(),
                 vitals,
                 state: State::Up,
                 exit: None,
@@ -159,7 +143,7 @@ impl<'a> Crew<'a> {
             Ok(true)
         })?;
         self.order_all(&Order::Connect);
-        let (graph, recording) = (self.graph, self.settings.recording);
+        let (graph, recording) = (self.site.graph, self.site.settings.recording);
         self.await_all("connect to its receivers", |node, answer| {
             let Answer::Connected { receivers, recorders } = answer else { return Ok(false) };
             let expected = graph.nodes()[node].outputs.len() + usize::from(recording);
@@ -260,7 +244,7 @@ impl<'a> Crew<'a> {
                 }
             }
             if let Some(recorder) = &mut self.recorder {
-                recorder.look(self.endpoint);
+                recorder.look(self.site.endpoint);
             }
             if self.members.iter().all(|member| member.state == State::Over) {
                 return End::Duration;
@@ -276,12 +260,12 @@ impl<'a> Crew<'a> {
     /// Whether the run cannot go on without a node: it is the supervisor, nobody listens to it, or somebody
     /// who does wants to stop then.
     pub(super) fn needed(&self, node: usize) -> bool {
-        let receivers = plan::receivers(self.graph, node);
-        node == self.graph.supervisor()
+        let receivers = plan::receivers(self.site.graph, node);
+        node == self.site.graph.supervisor()
             || receivers.is_empty()
             || receivers
                 .iter()
-                .any(|receiver| self.graph.nodes()[*receiver].on_dead_sender == OnDeadSender::Stop)
+                .any(|receiver| self.site.graph.nodes()[*receiver].on_dead_sender == OnDeadSender::Stop)
     }
 
     /// Lets the nodes that stop by themselves, because one that they wait for is gone, do so and say it.
@@ -295,9 +279,9 @@ impl<'a> Crew<'a> {
 
     /// Whether a node is about to stop by itself.
     fn about_to_stop(&self, node: usize) -> bool {
-        let plan = &self.graph.nodes()[node];
+        let plan = &self.site.graph.nodes()[node];
         let gone = |connection: &usize| {
-            let connection = &self.graph.connections()[*connection];
+            let connection = &self.site.graph.connections()[*connection];
             let sender = &self.members[connection.from];
             connection.blocking && sender.state == State::Over && sender.exit != Some(Exit::Clean)
         };
@@ -361,7 +345,7 @@ impl<'a> Crew<'a> {
     }
 
     pub(super) fn note(&mut self, clock: WallClock, node: usize, kind: EventKind) {
-        let name = &self.graph.nodes()[node].name;
+        let name = &self.site.graph.nodes()[node].name;
         self.journal.note(clock.now(), name, kind);
     }
 
@@ -397,7 +381,7 @@ impl<'a> Crew<'a> {
             };
             self.note(clock, node, kind);
         }
-        let reports = account::reports(self.graph, &self.members);
+        let reports = account::reports(self.site.graph, &self.members);
         (reports, std::mem::take(&mut self.journal))
     }
 }

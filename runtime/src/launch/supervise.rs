@@ -66,7 +66,7 @@ impl Crew<'_> {
             member.state = State::Over;
             return None;
         }
-        let run_ends = || End::Node { node: self.graph.nodes()[node].name.clone() };
+        let run_ends = || End::Node { node: self.site.graph.nodes()[node].name.clone() };
         let end = run_ends();
         self.note(clock, node, EventKind::Ended { exit: exit.clone() });
         if !ends_run && let Some(delay) = self.next_restart(node, &exit, clock) {
@@ -125,8 +125,8 @@ impl Crew<'_> {
             }
         }
         // And those of one that died are its own until somebody removes them.
-        self.endpoint.remove_dead();
-        match (self.hire)(node, false) {
+        self.site.endpoint.remove_dead();
+        match (self.site.hire)(node, false) {
             Ok(worker) => {
                 let member = &mut self.members[node];
                 member.worker = worker;
@@ -145,7 +145,7 @@ impl Crew<'_> {
                 // What it was refused is what it was refused at first.
                 Answer::Opened { .. } => self.members[node].worker.order(&Order::Connect),
                 Answer::Connected { .. } => {
-                    if let Err(error) = self.space.commit() {
+                    if let Err(error) = self.site.space.commit() {
                         self.members[node].worker.kill();
                         failed = Some(Exit::Failed { reason: error.to_string() });
                         break;
@@ -256,7 +256,8 @@ impl Crew<'_> {
             && ready(told.non_finite_at)
         {
             let leaf = vitals.get(Vital::NonFiniteLeaf) as usize;
-            let leaf = self.graph.nodes()[node].kind.output().leaves.get(leaf).cloned().unwrap_or_default();
+            let leaf =
+                self.site.graph.nodes()[node].kind.output().leaves.get(leaf).cloned().unwrap_or_default();
             let (count, step) = (non_finite - told.non_finite, vitals.get(Vital::NonFiniteStep));
             events.push(EventKind::NonFinite { count, step, leaf });
             told.non_finite = non_finite;
@@ -273,22 +274,22 @@ impl Crew<'_> {
 
     /// Tells the receivers of a node that it is gone or hangs.
     fn tell_gone(&mut self, node: usize, back: bool) {
-        let name = self.graph.nodes()[node].name.clone();
+        let name = self.site.graph.nodes()[node].name.clone();
         let next = self.members[node].vitals.get(Vital::Next);
-        for receiver in plan::receivers(self.graph, node) {
+        for receiver in plan::receivers(self.site.graph, node) {
             self.members[receiver].worker.order(&Order::SenderGone { node: name.clone(), next, back });
         }
     }
 
     /// Tells a node that has come back which of its senders are away.
     fn tell_absences(&mut self, node: usize) {
-        for &connection in &self.graph.nodes()[node].inputs {
-            let from = self.graph.connections()[connection].from;
+        for &connection in &self.site.graph.nodes()[node].inputs {
+            let from = self.site.graph.connections()[connection].from;
             let sender = &self.members[from];
             if sender.state == State::Up && sender.silent.is_none() {
                 continue;
             }
-            let (name, next) = (self.graph.nodes()[from].name.clone(), sender.vitals.get(Vital::Next));
+            let (name, next) = (self.site.graph.nodes()[from].name.clone(), sender.vitals.get(Vital::Next));
             let back = sender.state != State::Over;
             self.members[node].worker.order(&Order::SenderGone { node: name, next, back });
         }
@@ -306,7 +307,7 @@ impl Crew<'_> {
 
     fn record(&self, node: usize, kind: FaultKind, clock: WallClock) {
         if let Some(recorder) = &self.recorder {
-            let node = self.graph.nodes()[node].name.clone();
+            let node = self.site.graph.nodes()[node].name.clone();
             recorder.fault(Fault { node, time: clock.now().max(0), kind });
         }
     }
@@ -319,7 +320,7 @@ impl Crew<'_> {
         // Two processes must not hold the hardware at the same time.
         self.members[node].worker.kill();
         self.members[node].worker.join(self.patience);
-        match (self.hire)(node, true) {
+        match (self.site.hire)(node, true) {
             Ok(worker) => self.stopping.push((node, worker)),
             Err(error) => self.note(clock, node, EventKind::StopFailed { problem: error.to_string() }),
         }

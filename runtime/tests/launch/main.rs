@@ -11,6 +11,7 @@ mod failures;
 mod faults;
 mod nodes;
 mod recorder;
+mod resources;
 mod runs;
 mod safety;
 mod settings;
@@ -39,8 +40,8 @@ fn main() -> ExitCode {
     if first.as_deref() == Some(safety::DRIVING_COMMAND) {
         return safety::drive(arguments);
     }
-    if first.as_deref() == Some(faults::SMALL_COMMAND) {
-        return faults::in_small_memory();
+    if first.as_deref() == Some(resources::SMALL_COMMAND) {
+        return resources::in_small_memory();
     }
     if first.as_deref() == Some(wall::COMMAND) {
         return wall::jumping(arguments);
@@ -51,6 +52,7 @@ fn main() -> ExitCode {
         settings::TESTS,
         failures::TESTS,
         faults::TESTS,
+        resources::TESTS,
         recorder::TESTS,
         safety::TESTS,
         wall::TESTS,

@@ -232,7 +232,7 @@ pub(crate) fn registry() -> Registry {
             NodeKind::new(|_| {
                 // Other programs use shared memory, too. This one leaves enough to begin with.
                 let mut file = std::fs::File::create("/dev/shm/hog").unwrap();
-                while crate::faults::free_shared_memory() > 300_000 {
+                while crate::resources::free_shared_memory() > 300_000 {
                     std::io::Write::write_all(&mut file, &[1; 4096]).unwrap();
                 }
                 Ok(Counter { trouble: Trouble::default() })
