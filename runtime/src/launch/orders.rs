@@ -48,7 +48,8 @@ impl Orders {
 
     /// Whether there is news of any node since the last time that this was asked.
     pub(super) fn any(&self) -> bool {
-        self.any.swap(false, Ordering::Acquire)
+        // A look costs nothing while there is none; a swap would take the line from whoever brings some.
+        self.any.load(Ordering::Relaxed) && self.any.swap(false, Ordering::Acquire)
     }
 
     /// Whether a node is gone from which the last message was that before `known`; and whether for good.

@@ -10,7 +10,7 @@ use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use super::control::{Answer, Line, Order};
+use super::control::{Answer, Line, Order, readable};
 use super::error::RunError;
 use super::orders::Orders;
 use super::plan::{self, RUN_FILE, RunFile, Settings};
@@ -345,16 +345,19 @@ fn work(
         }
     };
     let (orders, finished) = (Orders::new(graph.nodes().len()), AtomicBool::new(false));
+    // A line inside this process that closes when the loop is over: whoever waits for orders waits for that, too, without
+    // looking for it now and then on a core that a node may need.
+    let (over, closes) = UnixStream::pair().map_err(|e| format!("cannot make a socket: {e}"))?;
     let (exit, problem, ends_run) = std::thread::scope(|scope| {
         // Orders are read beside the loop, which must wait for nothing but its node's inputs.
         scope.spawn(|| {
             // Not on the node's core: a node that polls under a real-time policy would keep this thread from running.
             allow(&anywhere);
             let _raised = Raised::current(wishes.policy != Policy::Other);
-            follow(graph, queue, &orders, &finished, &wake, own);
+            follow(graph, queue, &orders, (&finished, &over), &wake, own);
         });
         // However the node ends, the thread beside it must end too.
-        let _end = Raise(&finished);
+        let _end = Raise(&finished, closes);
         let result = catch_unwind(AssertUnwindSafe(|| stepper.run(clock, &orders)));
         let failed = |reason: String| (Exit::Failed { reason }, Stopping::Failed);
         let mut ends_run = false;
@@ -388,8 +391,8 @@ fn allow(cores: &[core_affinity::CoreId]) {
     }
 }
 
-/// Sets a flag when it goes out of scope.
-struct Raise<'a>(&'a AtomicBool);
+/// Sets a flag when it goes out of scope, and closes a line then.
+struct Raise<'a>(&'a AtomicBool, #[expect(dead_code, reason = "closed by its drop")] UnixStream);
 
 impl Drop for Raise<'_> {
     fn drop(&mut self) {
@@ -402,12 +405,15 @@ fn follow(
     graph: &Graph,
     queue: &mut Queue,
     orders: &Orders,
-    finished: &AtomicBool,
+    (finished, over): (&AtomicBool, &UnixStream),
     wake: &Waker,
     own: Option<&Space>,
 ) {
     while !finished.load(Ordering::Acquire) {
-        match queue.next(20) {
+        if queue.waiting.is_empty() {
+            readable(&[queue.line.fd(), over.as_raw_fd()], -1);
+        }
+        match queue.next(0) {
             Some(Some(Order::Stop)) => orders.stop.store(true, Ordering::Relaxed),
             Some(Some(Order::SenderGone { node, next, back })) => {
                 if let Some(node) = graph.index(&node) {

@@ -226,6 +226,13 @@ impl StepGate {
         self.inputs[input].known()
     }
 
+    /// How many of the messages for which the next step waits at this input are missing; below 0 when messages for later
+    /// steps are there, too. `None` where it waits for none.
+    #[inline]
+    pub fn missing(&self, input: usize) -> Option<i64> {
+        self.inputs[input].missing()
+    }
+
     /// The next step starts. What it sees is then in [`visible`](Self::visible).
     ///
     /// # Errors

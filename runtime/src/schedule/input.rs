@@ -173,6 +173,12 @@ impl InputGate {
         (self.blocking && self.known < self.ideal.tick()).then(|| self.ideal.tick() - 1)
     }
 
+    /// How many of the messages for which the next step waits are missing; below 0 when later ones are there, too.
+    #[inline]
+    pub(super) fn missing(&self) -> Option<i64> {
+        self.blocking.then(|| self.ideal.tick() as i64 - self.known as i64)
+    }
+
     /// The next step is due at `due`: counts the messages that belong to it.
     #[inline]
     pub(super) fn expect_until(&mut self, due: Nanos) {

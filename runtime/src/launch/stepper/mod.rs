@@ -3,27 +3,32 @@
 //! It drives the same [`Inbox`] as the simulated clock does. After it was made it allocates nothing and takes
 //! no lock.
 
-use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
+
+mod intake;
+
+use intake::{Input, Taken};
 
 use super::orders::Orders;
 use super::plan::{self, MESSAGE_HEAD, Settings};
 use super::records::Records;
 use super::settings::{NodeSettings, OnDeadline, OnNonFinite};
 use super::vitals::{InputVital, Vital, Vitals};
-use crate::channel::{ChannelError, Endpoint, Listener, Publisher, Subscriber, Waker};
+use crate::channel::{ChannelError, Endpoint, Listener, Publisher, Waker};
 use crate::clock::WallClock;
 use crate::graph::{Graph, OnDeadSender, SafeOutput, Scheduling};
 use crate::node::{ErasedNode, NodeError, Step, Stopping};
 use crate::recording::LossReason;
 use crate::schedule::{GateError, Inbox, Resumption, Wait};
-use crate::time::{Grid, Nanos, SECOND};
+use crate::time::{Grid, Nanos};
 
 /// A wait is never longer than this, so that an order to stop is seen soon and signs of life are given.
 const PATIENCE: Nanos = 20_000_000;
+/// How often a message is polled for before anything else is looked at again: some microseconds.
+const POLLS: u32 = 16;
 /// Between the order to take up the work of an earlier process and its first step.
 const LEAD: Nanos = 5_000_000;
 
@@ -71,20 +76,6 @@ pub(super) struct Stepper {
     vitals: Vitals,
 }
 
-struct Input {
-    sender: usize,
-    sender_name: String,
-    sender_grid: Grid,
-    sender_vitals: Vitals,
-    subscriber: Subscriber,
-    values: Box<[f64]>,
-    /// What an earlier process of this node made of the messages.
-    consumed_before: u64,
-    superseded_before: u64,
-    /// Nothing has arrived since an earlier process of this node ended.
-    resumed: bool,
-}
-
 impl Stepper {
     /// Opens the receiving ends of a node's channels and its own, which the launcher has created.
     pub(super) fn open(
@@ -110,6 +101,7 @@ impl Stepper {
                 consumed_before: 0,
                 superseded_before: 0,
                 resumed: false,
+                empty: false,
             });
         }
         let records = match settings.recording {
@@ -196,11 +188,18 @@ impl Stepper {
     /// Runs the node until its time is over, somebody stops it, or it cannot go on.
     pub(super) fn run(&mut self, clock: WallClock, orders: &Orders) -> Result<(), StepError> {
         let end = self.end;
+        let mut polls = 0;
         while !orders.stop.load(Ordering::Relaxed) {
             // What a node sent before its death is taken before the death is believed.
             let news = orders.any();
-            self.receive(clock, end)?;
-            let now = clock.now();
+            let taken = self.receive(clock, end, news)?;
+            if polls > 0 && taken == Taken::Nothing && !news {
+                polls -= 1;
+                std::hint::spin_loop();
+                continue;
+            }
+            polls = 0;
+            let now = if let Taken::At(time) = taken { time } else { clock.now() };
             self.vitals.set(Vital::Beat, (clock.epoch() + now) as u64);
             if news {
                 self.learn(orders, now);
@@ -228,8 +227,9 @@ impl Stepper {
                     let gate = self.inbox.gate();
                     let left = gate.due().saturating_add(gate.shift()) - self.settings.spin - now;
                     match left {
+                        _ if self.settings.spin == 0 => self.pause(PATIENCE.min(end - now)),
                         1.. => self.pause(left),
-                        _ if left > -2 * self.settings.spin => std::hint::spin_loop(),
+                        _ if left > -2 * self.settings.spin => polls = POLLS,
                         _ => self.pause(PATIENCE),
                     }
                 }
@@ -246,125 +246,6 @@ impl Stepper {
     /// Sleeps until a message comes, at most this long.
     fn pause(&self, time: Nanos) {
         self.listener.wait(Duration::from_nanos(time.clamp(0, PATIENCE) as u64));
-    }
-
-    /// Takes in which senders are gone: their safe outputs stand in for their messages.
-    fn learn(&mut self, orders: &Orders, now: Nanos) {
-        for (index, input) in self.inputs.iter().enumerate() {
-            let known = self.inbox.gate().known(index);
-            let Some(for_good) = orders.absence(input.sender, known) else { continue };
-            // While it may come back, only those wait for it who would stop without it.
-            if for_good || self.on_dead_sender == OnDeadSender::Continue {
-                self.inbox.sender_dead(index);
-            }
-            if self.inbox.is_safe(index) {
-                self.inbox.substitute(index, now);
-                self.vitals.add_safe(index);
-            }
-        }
-        self.inputs.iter().for_each(|input| orders.forget(input.sender));
-    }
-
-    /// Takes everything that has arrived, each message stamped with the time it was taken.
-    fn receive(&mut self, clock: WallClock, end: Nanos) -> Result<(), StepError> {
-        for index in 0..self.inputs.len() {
-            let mut any = false;
-            loop {
-                let Input { subscriber, values, .. } = &mut self.inputs[index];
-                let mut head = [0; MESSAGE_HEAD];
-                let mut length = 0;
-                let expected = MESSAGE_HEAD + values.len();
-                let got = subscriber.receive(|words| {
-                    length = words.len();
-                    if length == expected {
-                        head.copy_from_slice(&words[..MESSAGE_HEAD]);
-                        for (value, word) in values.iter_mut().zip(&words[MESSAGE_HEAD..]) {
-                            *value = f64::from_bits(*word);
-                        }
-                    }
-                })?;
-                if !got {
-                    break;
-                }
-                // What arrives after the end belongs to no step.
-                let received = clock.now();
-                if received >= end {
-                    continue;
-                }
-                any = true;
-                let [seq, sent] = head;
-                if length != expected || !self.plausible(index, seq, received) {
-                    // Garbage of one node must not end another.
-                    let first = seq.min(u64::MAX - 1);
-                    self.lose(index, first..first + 1, received, LossReason::Malformed)?;
-                    continue;
-                }
-                let arrival =
-                    self.inbox.arrive(index, seq, sent as Nanos, received, &self.inputs[index].values)?;
-                self.miss(index, arrival.missing, received)?;
-                self.inputs[index].resumed = false;
-                if arrival.slot.is_none() {
-                    self.lose(index, seq..seq + 1, received, LossReason::Overflow)?;
-                }
-            }
-            if any {
-                self.show(index);
-            }
-        }
-        Ok(())
-    }
-
-    /// Whether a sender can have sent a message of this number by now: it is new, and no sender runs that much ahead.
-    fn plausible(&self, input: usize, seq: u64, received: Nanos) -> bool {
-        let known = self.inbox.gate().known(input);
-        seq == known
-            || (seq > known && {
-                let due = self.inputs[input].sender_grid.count_until(received.saturating_add(SECOND));
-                seq <= due.saturating_mul(2).max(known + 1)
-            })
-    }
-
-    /// Accounts for messages that did not come although a later one did.
-    fn miss(&mut self, input: usize, missing: Range<u64>, time: Nanos) -> Result<(), ChannelError> {
-        let reason = match self.inputs[input].resumed {
-            true => LossReason::ReceiverDown,
-            false => LossReason::Transport,
-        };
-        let Range { mut start, end } = missing;
-        while start < end {
-            let gap = self.inputs[input].sender_vitals.skipped(start..end).unwrap_or(end..end);
-            self.lose(input, start..gap.start, time, reason)?;
-            self.lose(input, gap.clone(), time, LossReason::NotSent)?;
-            start = gap.end;
-        }
-        Ok(())
-    }
-
-    fn lose(
-        &mut self,
-        input: usize,
-        seqs: Range<u64>,
-        time: Nanos,
-        reason: LossReason,
-    ) -> Result<(), ChannelError> {
-        let count = seqs.end.saturating_sub(seqs.start);
-        if count == 0 {
-            return Ok(());
-        }
-        self.vitals.add_lost(input, reason, count);
-        match &mut self.records {
-            Some(records) => records.loss(input, seqs.start, count, time, reason, &self.vitals),
-            None => Ok(()),
-        }
-    }
-
-    /// Shows where the messages of an input are.
-    fn show(&self, input: usize) {
-        let (account, state) = (self.inbox.gate().account(input), &self.inputs[input]);
-        self.vitals.set_input(input, InputVital::Known, self.inbox.gate().known(input));
-        self.vitals.set_input(input, InputVital::Consumed, state.consumed_before + account.consumed);
-        self.vitals.set_input(input, InputVital::Superseded, state.superseded_before + account.superseded);
-        self.vitals.set_input(input, InputVital::Waiting, account.waiting);
     }
 
     /// Makes the next step, which begins now, at `start`, and could have begun at `earliest`.

@@ -1,0 +1,171 @@
+//! What comes in at a node's inputs: messages, and the news that a sender is gone.
+
+use std::ops::Range;
+
+use super::{StepError, Stepper};
+use crate::channel::{ChannelError, Subscriber};
+use crate::clock::WallClock;
+use crate::graph::OnDeadSender;
+use crate::launch::orders::Orders;
+use crate::launch::plan::MESSAGE_HEAD;
+use crate::launch::vitals::{InputVital, Vitals};
+use crate::recording::LossReason;
+use crate::time::{Grid, Nanos, SECOND};
+
+pub(super) struct Input {
+    pub(super) sender: usize,
+    pub(super) sender_name: String,
+    pub(super) sender_grid: Grid,
+    pub(super) sender_vitals: Vitals,
+    pub(super) subscriber: Subscriber,
+    pub(super) values: Box<[f64]>,
+    /// What an earlier process of this node made of the messages.
+    pub(super) consumed_before: u64,
+    pub(super) superseded_before: u64,
+    /// Nothing has arrived since an earlier process of this node ended.
+    pub(super) resumed: bool,
+    /// Whether nothing was left waiting when it was last looked at.
+    pub(super) empty: bool,
+}
+
+/// What a look at the inputs gave.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Taken {
+    Nothing,
+    Something,
+    /// One or more messages, the last one at this time: the one that a step waited for.
+    At(Nanos),
+}
+
+impl Stepper {
+    /// Takes in which senders are gone: their safe outputs stand in for their messages.
+    pub(super) fn learn(&mut self, orders: &Orders, now: Nanos) {
+        for (index, input) in self.inputs.iter().enumerate() {
+            let known = self.inbox.gate().known(index);
+            let Some(for_good) = orders.absence(input.sender, known) else { continue };
+            // While it may come back, only those wait for it who would stop without it.
+            if for_good || self.on_dead_sender == OnDeadSender::Continue {
+                self.inbox.sender_dead(index);
+            }
+            if self.inbox.is_safe(index) {
+                self.inbox.substitute(index, now);
+                self.vitals.add_safe(index);
+            }
+        }
+        self.inputs.iter().for_each(|input| orders.forget(input.sender));
+    }
+
+    /// Takes what has arrived, each message stamped with the time it was taken. What comes after the message that a step
+    /// waited for is taken after that step, unless `all` is asked for.
+    pub(super) fn receive(&mut self, clock: WallClock, end: Nanos, all: bool) -> Result<Taken, StepError> {
+        let mut taken = Taken::Nothing;
+        for index in 0..self.inputs.len() {
+            let before = self.inputs[index].empty;
+            let mut any = false;
+            loop {
+                let Input { subscriber, values, .. } = &mut self.inputs[index];
+                let mut head = [0; MESSAGE_HEAD];
+                let mut length = 0;
+                let expected = MESSAGE_HEAD + values.len();
+                let got = subscriber.receive(|words| {
+                    length = words.len();
+                    if length == expected {
+                        head.copy_from_slice(&words[..MESSAGE_HEAD]);
+                        for (value, word) in values.iter_mut().zip(&words[MESSAGE_HEAD..]) {
+                            *value = f64::from_bits(*word);
+                        }
+                    }
+                })?;
+                self.inputs[index].empty = !got;
+                if !got {
+                    break;
+                }
+                // What arrives after the end belongs to no step.
+                let received = clock.now();
+                if received >= end {
+                    taken = Taken::Something;
+                    continue;
+                }
+                any = true;
+                let [seq, sent] = head;
+                if length != expected || !self.plausible(index, seq, received) {
+                    // Garbage of one node must not end another.
+                    let first = seq.min(u64::MAX - 1);
+                    self.lose(index, first..first + 1, received, LossReason::Malformed)?;
+                    taken = Taken::Something;
+                    continue;
+                }
+                let arrival =
+                    self.inbox.arrive(index, seq, sent as Nanos, received, &self.inputs[index].values)?;
+                self.miss(index, arrival.missing, received)?;
+                self.inputs[index].resumed = false;
+                if arrival.slot.is_none() {
+                    self.lose(index, seq..seq + 1, received, LossReason::Overflow)?;
+                }
+                // A step that begins at the very time of an arrival is taken to have seen it.
+                let awaited = self.inbox.gate().missing(index);
+                taken = if awaited == Some(0) { Taken::At(received) } else { Taken::Something };
+                if before && !all && awaited.is_some_and(|missing| missing <= 0) {
+                    break;
+                }
+            }
+            if any {
+                self.show(index);
+            }
+        }
+        Ok(taken)
+    }
+
+    /// Whether a sender can have sent a message of this number by now: it is new, and no sender runs that much ahead.
+    fn plausible(&self, input: usize, seq: u64, received: Nanos) -> bool {
+        let known = self.inbox.gate().known(input);
+        seq == known
+            || (seq > known && {
+                let due = self.inputs[input].sender_grid.count_until(received.saturating_add(SECOND));
+                seq <= due.saturating_mul(2).max(known + 1)
+            })
+    }
+
+    /// Accounts for messages that did not come although a later one did.
+    fn miss(&mut self, input: usize, missing: Range<u64>, time: Nanos) -> Result<(), ChannelError> {
+        let reason = match self.inputs[input].resumed {
+            true => LossReason::ReceiverDown,
+            false => LossReason::Transport,
+        };
+        let Range { mut start, end } = missing;
+        while start < end {
+            let gap = self.inputs[input].sender_vitals.skipped(start..end).unwrap_or(end..end);
+            self.lose(input, start..gap.start, time, reason)?;
+            self.lose(input, gap.clone(), time, LossReason::NotSent)?;
+            start = gap.end;
+        }
+        Ok(())
+    }
+
+    pub(super) fn lose(
+        &mut self,
+        input: usize,
+        seqs: Range<u64>,
+        time: Nanos,
+        reason: LossReason,
+    ) -> Result<(), ChannelError> {
+        let count = seqs.end.saturating_sub(seqs.start);
+        if count == 0 {
+            return Ok(());
+        }
+        self.vitals.add_lost(input, reason, count);
+        match &mut self.records {
+            Some(records) => records.loss(input, seqs.start, count, time, reason, &self.vitals),
+            None => Ok(()),
+        }
+    }
+
+    /// Shows where the messages of an input are.
+    pub(super) fn show(&self, input: usize) {
+        let (account, state) = (self.inbox.gate().account(input), &self.inputs[input]);
+        self.vitals.set_input(input, InputVital::Known, self.inbox.gate().known(input));
+        self.vitals.set_input(input, InputVital::Consumed, state.consumed_before + account.consumed);
+        self.vitals.set_input(input, InputVital::Superseded, state.superseded_before + account.superseded);
+        self.vitals.set_input(input, InputVital::Waiting, account.waiting);
+    }
+}
