@@ -1,5 +1,6 @@
 //! The diagnosis from end to end: bind, fit, weigh, localise, quantify, report.
 
+mod causes;
 mod error;
 mod screen;
 
@@ -36,6 +37,7 @@ use crate::shapley;
 use crate::signature::Nuisance;
 use crate::stop::Stop;
 use crate::unknown;
+use causes::Models;
 pub use error::DiagnosisError;
 use screen::{chosen, outgrown, screen};
 
@@ -119,22 +121,24 @@ pub(crate) fn diagnose_bound(
     progress: &(dyn Fn(f64, &str) + Sync),
 ) -> Result<Diagnosis, DiagnosisError> {
     let mut raw = Raw::of(&equations, &experiment);
-    let weigh = |raw: &Raw, experiment: &Experiment| {
-        weigh_all(equations.clone(), experiment, raw, title, options, checked, progress)
+    // What is weighed again takes the rest of the bar: progress never goes back.
+    let weigh = |raw: &Raw, experiment: &Experiment, (from, to): (f64, f64)| {
+        let progress = |done: f64, label: &str| progress(from + (to - from) * done, label);
+        weigh_all(equations.clone(), experiment, raw, title, options, checked, &progress)
     };
-    let mut found = weigh(&raw, &experiment)?;
+    let mut found = weigh(&raw, &experiment, (0.0, 0.8))?;
     // What was said of the readings before any model knew them is held to the models that do.
     let fits = [&found.null, found.answers.leader(&found.null)];
     let doubted = readings::contradicted(&found.setup, &raw, &experiment, &fits);
     if !doubted.is_empty() && !found.setup.stop.asked() {
         doubted.into_iter().for_each(|output| raw.take_back(output));
-        found = weigh(&raw, &experiment)?;
+        found = weigh(&raw, &experiment, (0.8, 0.86))?;
     }
-    progress(0.9, "lost commands");
+    progress(0.86, "lost commands");
     let lost = readings::lost(&found.setup, &experiment, &found.null, &found.answers, options);
     if let Some(lost) = &lost {
         // What else there is shows once the losses are known.
-        found = weigh(&raw, &lost.replaced(experiment))?;
+        found = weigh(&raw, &lost.replaced(experiment), (0.86, 0.92))?;
     }
     progress(0.92, "held-out time");
     Ok(conclude(title, options, found, lost))
@@ -179,7 +183,7 @@ fn weigh_all(
     let weighed = std::sync::atomic::AtomicUsize::new(0);
     let answers = posterior::weigh(&setup, &null, &nuisance, fits, options, &|label| {
         let k = weighed.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
-        progress(0.5 + 0.1 * k as f64, label);
+        progress((0.5 + 0.1 * k as f64).min(1.0), label);
     });
     let mut columns = columns;
     columns
@@ -253,20 +257,6 @@ struct Found {
     readings: Vec<ReadingEffect>,
 }
 
-/// Error of predictions on held-out time, in noise units, up to which their mean counts as explained.
-const MEAN_EXPLAINED: f64 = 3.0;
-
-/// Share of a named effect's evidence that times which scatter elsewhere must have to be a cause beside it.
-const OF_FORM: f64 = 0.03;
-/// The same at an input, where kicks are everywhere.
-const OF_FORM_AT_INPUT: f64 = 0.3;
-
-/// Share of a noise that must be left beside times that scatter for it to be a cause of its own.
-const OWN_NOISE: f64 = 0.5;
-
-/// Share of the squared error on held-out time that a residual must leave for the rest to count as chance.
-const CHANCE: f64 = 0.5;
-
 fn conclude(title: &str, options: &Options, found: Found, lost: Option<LostCommands>) -> Diagnosis {
     let Found { setup, null, answers, p_value, not_testable, absorbed, mut readings } = found;
     let setup = &setup;
@@ -317,7 +307,7 @@ fn conclude(title: &str, options: &Options, found: Found, lost: Option<LostComma
     let black_box = answers.residual(named).map_or_else(|| with_effect.clone(), row);
 
     let rows = Rows { nominal, refitted, with_effect, black_box };
-    let Rows { refitted, with_effect, black_box, .. } = &rows;
+    let Rows { refitted, with_effect, .. } = &rows;
     let split =
         if detected && named { split(setup, &null, best, &row(&null), with_effect) } else { Vec::new() };
     let how_far = rows.how_far(setup.horizon, split, options.seed);
@@ -327,53 +317,8 @@ fn conclude(title: &str, options: &Options, found: Found, lost: Option<LostComma
         .map(|o| quantify::overlay(setup, o, refitted, with_effect))
         .collect();
 
-    // How readings scatter is a cause of the gap only where their mean leaves nothing larger. Commands that scatter move
-    // the machine by chance: neither an effect nor a residual predicts it over a horizon, and innovations alone tell.
-    let excess = with_effect.mean_square() - 1.0;
-    let by_chance = black_box.mean_square() > CHANCE * with_effect.mean_square();
-    // An answer that makes the predictions worse explains no mean.
-    let least = with_effect.mean_square().min(refitted.mean_square());
-    let mean_explained = least < MEAN_EXPLAINED.powi(2) || (!detected && by_chance);
-    let at_input = |r: &ReadingEffect| {
-        by_chance
-            && r.place.starts_with("input:")
-            && readings::over_horizon(setup, shown, r).is_some_and(|moved| moved > CHANCE * excess)
-    };
-    let clipped = |r: &ReadingEffect| {
-        let effects = if detected && named { &best.hypothesis.effects[..] } else { &[] };
-        effects.iter().any(|at| at.effect == Effect::SensorSaturation && at.place.to_string() == r.place)
-    };
-    // Times that scatter look like noise to those who do not know how fast the reading moves.
-    let of_times = |r: &ReadingEffect| {
-        let jitter = readings.iter().find(|j| j.significant && j.name == "jitter" && j.place == r.place);
-        let output = system.outputs.iter().position(|o| r.place == format!("output:{}", o.name));
-        let (Some(jitter), Some(output), "noise") = (jitter, output, r.name.as_str()) else { return false };
-        let spread = jitter.parameters.get("spread").map_or(0.0, |spread| spread.value);
-        let declared = system.outputs[output].noise.unwrap_or(f64::INFINITY);
-        let alleged = r.parameters.get("std").map_or(0.0, |std| std.value);
-        let least = declared.hypot(OWN_NOISE * alleged);
-        readings::noise_beside(setup, shown, output, spread).is_some_and(|std| std < least)
-    };
-    // The form of a named effect is off by a little, which leaves traces where commands or readings change.
-    let gain = if detected && named { answers.cost(&null) - answers.cost(best) } else { 0.0 };
-    let of_form = |r: &ReadingEffect| {
-        let here = best.hypothesis.effects.iter().all(|at| at.place.to_string() == r.place);
-        let share = if r.place.starts_with("input:") { OF_FORM_AT_INPUT } else { OF_FORM };
-        r.name == "jitter" && !here && -r.evidence < share * gain
-    };
-    let mut causes: Vec<ReadingEffect> = readings
-        .iter()
-        .filter(|r| r.significant && (at_input(r) || mean_explained))
-        // The corners of a clipped reading look like outliers and bad times, and losses that were missed like late commands.
-        .filter(|r| {
-            !clipped(r)
-                && !of_times(r)
-                && !of_form(r)
-                && lost.as_ref().is_none_or(|lost| lost.effect.place != r.place)
-                && !readings::is_trace(r, &readings)
-        })
-        .cloned()
-        .collect();
+    let named_one = (detected, detected && named);
+    let mut causes = Models::new(setup, &null, &answers, &rows, named_one, lost.as_ref()).causes(&readings);
     if let Some(lost) = lost {
         readings.push(lost.effect.clone());
         causes.push(lost.effect);

@@ -1,0 +1,120 @@
+//! Which of the things that the readings show count as causes of the gap, and which are traces of something else.
+
+use parallax_model::effect::Effect;
+
+use crate::posterior::Posterior;
+use crate::readings::{self, LostCommands, ReadingEffect};
+use crate::rows::Rows;
+use crate::search::Fit;
+use crate::setup::Setup;
+
+/// Error of predictions on held-out time, in noise units, up to which their mean counts as explained.
+const MEAN_EXPLAINED: f64 = 3.0;
+
+/// Share of a named effect's evidence that times which scatter elsewhere must have to be a cause beside it.
+const OF_FORM: f64 = 0.03;
+/// The same at an input, where kicks are everywhere.
+const OF_FORM_AT_INPUT: f64 = 0.3;
+
+/// Share of a noise that must be left beside times that scatter for it to be a cause of its own.
+const OWN_NOISE: f64 = 0.5;
+
+/// Share of the squared error on held-out time that a residual must leave for the rest to count as chance.
+const CHANCE: f64 = 0.5;
+
+/// What the models say, for what the readings show to be held against.
+pub(super) struct Models<'a> {
+    setup: &'a Setup,
+    /// The named answer; the null model where nothing was named.
+    shown: &'a Fit,
+    /// Whether effects were named.
+    named: bool,
+    /// By how much the named answer lowers the cost.
+    gain: f64,
+    /// What is left of the mean squared error on held-out time, above the noise floor of 1.
+    excess: f64,
+    /// Neither an effect nor a residual predicts what is left.
+    by_chance: bool,
+    mean_explained: bool,
+    lost: Option<&'a LostCommands>,
+}
+
+impl<'a> Models<'a> {
+    /// `named`: a gap was detected, and effects were named; `detected`: a gap was detected.
+    pub(super) fn new(
+        setup: &'a Setup,
+        null: &'a Fit,
+        answers: &'a Posterior,
+        rows: &Rows,
+        (detected, named): (bool, bool),
+        lost: Option<&'a LostCommands>,
+    ) -> Self {
+        let best = answers.leader(null);
+        let left = rows.with_effect.mean_square();
+        // Commands that scatter move the machine by chance: neither an effect nor a residual predicts it over a
+        // horizon, and innovations alone tell.
+        let by_chance = rows.black_box.mean_square() > CHANCE * left;
+        // An answer that makes the predictions worse explains no mean.
+        let least = left.min(rows.refitted.mean_square());
+        Self {
+            setup,
+            shown: if named { best } else { null },
+            named,
+            gain: if named { answers.cost(null) - answers.cost(best) } else { 0.0 },
+            excess: left - 1.0,
+            by_chance,
+            mean_explained: least < MEAN_EXPLAINED.powi(2) || (!detected && by_chance),
+            lost,
+        }
+    }
+
+    /// Those of the `readings`' effects that are causes. How readings scatter is a cause of the gap only where their
+    /// mean leaves nothing larger.
+    pub(super) fn causes(&self, readings: &[ReadingEffect]) -> Vec<ReadingEffect> {
+        let chosen = readings.iter().filter(|r| {
+            r.significant
+                && (self.mean_explained || self.moves_by_chance(r))
+                && !self.clipped(r)
+                && !self.of_times(r, readings)
+                && !self.of_form(r)
+                && self.lost.is_none_or(|lost| lost.effect.place != r.place)
+                && !readings::is_trace(r, readings)
+        });
+        chosen.cloned().collect()
+    }
+
+    /// Whether it moves the machine by what is left of the error.
+    fn moves_by_chance(&self, r: &ReadingEffect) -> bool {
+        self.by_chance
+            && r.place.starts_with("input:")
+            && readings::over_horizon(self.setup, self.shown, r)
+                .is_some_and(|moved| moved > CHANCE * self.excess)
+    }
+
+    /// The corners of a clipped reading look like outliers and bad times.
+    fn clipped(&self, r: &ReadingEffect) -> bool {
+        let effects = if self.named { &self.shown.hypothesis.effects[..] } else { &[] };
+        effects.iter().any(|at| at.effect == Effect::SensorSaturation && at.place.to_string() == r.place)
+    }
+
+    /// Times that scatter look like noise to those who do not know how fast the reading moves.
+    fn of_times(&self, r: &ReadingEffect, readings: &[ReadingEffect]) -> bool {
+        let outputs = &self.setup.equations.system().outputs;
+        let jitter = readings.iter().find(|j| j.significant && j.name == "jitter" && j.place == r.place);
+        let output = outputs.iter().position(|o| r.place == format!("output:{}", o.name));
+        let (Some(jitter), Some(output), "noise") = (jitter, output, r.name.as_str()) else { return false };
+        let spread = jitter.parameters.get("spread").map_or(0.0, |spread| spread.value);
+        let declared = outputs[output].noise.unwrap_or(f64::INFINITY);
+        let alleged = r.parameters.get("std").map_or(0.0, |std| std.value);
+        let least = declared.hypot(OWN_NOISE * alleged);
+        readings::noise_beside(self.setup, self.shown, output, spread).is_some_and(|std| std < least)
+    }
+
+    /// The form of a named effect is off by a little, which leaves traces where commands or readings change.
+    fn of_form(&self, r: &ReadingEffect) -> bool {
+        let effects = if self.named { &self.shown.hypothesis.effects[..] } else { &[] };
+        let here = effects.iter().all(|at| at.place.to_string() == r.place);
+        let share = if r.place.starts_with("input:") { OF_FORM_AT_INPUT } else { OF_FORM };
+        r.name == "jitter" && !here && -r.evidence < share * self.gain
+    }
+}
