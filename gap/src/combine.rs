@@ -1,18 +1,22 @@
 //! Several effects at once: from the best single ones forward, and back where one of them is not needed.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
 use rayon::prelude::*;
 
 use crate::hypothesis::{EffectAt, Slot};
 use crate::judge::{EVEN, Judge, WORTH};
 use crate::library;
-use crate::search::{Fit, Width, fit_all, fit_hypothesis};
+use crate::search::{Fit, INEXACT, Width, fit_all, fit_hypothesis, fit_part};
 use crate::setup::Setup;
 use crate::signature::{self, Nuisance};
 use crate::stop::SEVERAL;
 
-/// Single effects from which combinations begin.
+/// Single effects from which combinations begin in any case.
 const BASES: usize = 2;
+
+/// Single effects of which those that promise most are beginnings as well, and how many.
+const PROMISING: usize = 6;
+const PROMISED: usize = 1;
 
 /// Difference of −2 log evidence up to which another single effect is a beginning as well.
 const RIVAL: f64 = 50.0;
@@ -23,8 +27,12 @@ const ADDED: usize = 8;
 /// Most effects at once.
 const MOST: usize = 4;
 
-/// Squared distance from its null beyond which an effect is not tried to be left out.
-const CERTAIN: f64 = 400.0;
+/// Standard deviations from their nulls beyond which an effect is not tried to be left out.
+const CERTAIN: f64 = 20.0;
+
+/// Most that any effect may promise, in a score test, beside a combination with which nothing is left: the largest of
+/// some hundred tests by chance.
+const NOTHING: f64 = 20.0;
 
 /// Difference of −2 log evidence up to which two effects alone are one and the same.
 const TWIN: f64 = 0.01;
@@ -34,18 +42,15 @@ const TWIN: f64 = 0.01;
 pub fn combinations(setup: &Setup, null: &Fit, fits: &[Fit], judge: &Judge) -> Vec<Fit> {
     let pool: Vec<EffectAt> = fits.iter().filter_map(|f| f.hypothesis.effects.first().cloned()).collect();
     let mut found: Vec<Fit> = Vec::new();
-    for base in fits
-        .iter()
-        .take(BASES)
-        .filter(|base| judge.is_worth(base, null) && judge.cost(base) < judge.cost(&fits[0]) + RIVAL)
-    {
+    for base in beginnings(setup, null, fits, &pool, judge) {
         if setup.stop.leaves_out(|| SEVERAL.into()) {
             break;
         }
         let mut base = base.clone();
         while base.hypothesis.effects.len() < MOST {
             let Some(next) = extend(setup, &base, &pool, judge) else { break };
-            if !judge.is_worth(&next, &base) {
+            let complete = || leaves_nothing(setup, &next, &pool);
+            if !judge.is_worth_or(&next, &base, complete) || !judge.is_worth(&next, null) {
                 break;
             }
             if setup.stop.leaves_out(|| SEVERAL.into()) {
@@ -56,7 +61,7 @@ pub fn combinations(setup: &Setup, null: &Fit, fits: &[Fit], judge: &Judge) -> V
         if base.hypothesis.effects.len() < 2 {
             continue;
         }
-        let base = simplify(setup, null, prune(setup, null, base, fits, judge), judge);
+        let base = simplify(setup, null, prune(setup, null, base, fits, &pool, judge), judge);
         let known = |other: &Fit| same(&other.hypothesis.effects, &base.hypothesis.effects);
         if base.hypothesis.effects.len() > 1 && !found.iter().any(known) {
             let others = twins(setup, null, &base, fits, judge);
@@ -65,6 +70,45 @@ pub fn combinations(setup: &Setup, null: &Fit, fits: &[Fit], judge: &Judge) -> V
         }
     }
     found
+}
+
+/// Where combinations begin: at the best single effects, and at those further ones with which a second effect promises
+/// more than with the best. Of two causes neither need be what explains most alone.
+fn beginnings<'a>(
+    setup: &Setup,
+    null: &Fit,
+    fits: &'a [Fit],
+    pool: &[EffectAt],
+    judge: &Judge,
+) -> Vec<&'a Fit> {
+    // Where nothing reaches the noise, two effects may do together what neither promises alone.
+    let helps = |fit: &Fit| {
+        judge.is_worth(fit, null) || (!judge.is_exact() && judge.cost(fit) < judge.cost(null) - EVEN)
+    };
+    let near = |fit: &Fit| judge.cost(fit) < judge.cost(&fits[0]) + RIVAL;
+    let mut chosen: Vec<&Fit> = fits.iter().take(BASES).filter(|fit| helps(fit) && near(fit)).collect();
+    let Some(first) = chosen.first() else { return chosen };
+    let promise = |base: &Fit| {
+        let nuisance = Nuisance::new(base);
+        let best = pool.par_iter().filter(|at| !base.hypothesis.effects.contains(at));
+        let most = best.map(|at| score(setup, base, &nuisance, at)).reduce(|| 0.0, f64::max);
+        let (all, count) = (nuisance.innovations.norm_squared(), nuisance.innovations.len() as f64);
+        // What the likelihood gains once the noise is that of the rest.
+        base.innovation.evidence_cost + count * (1.0 - most / all).max(1e-6).ln()
+    };
+    let mut rivals: Vec<(f64, &Fit)> = Vec::new();
+    for (k, fit) in fits.iter().enumerate().take(PROMISING).skip(chosen.len()) {
+        let twin = fits[..k].iter().any(|other| (judge.cost(other) - judge.cost(fit)).abs() < TWIN);
+        if !twin && helps(fit) && !setup.stop.asked() {
+            rivals.push((promise(fit), fit));
+        }
+    }
+    let least = promise(first) - WORTH;
+    rivals.sort_by(|a, b| a.0.total_cmp(&b.0));
+    chosen.extend(
+        rivals.into_iter().filter(|(promise, _)| *promise < least).take(PROMISED).map(|(_, fit)| fit),
+    );
+    chosen
 }
 
 /// The combination with one of its effects in the place of which stands another that alone fits exactly as well: one
@@ -91,8 +135,11 @@ fn twins(setup: &Setup, null: &Fit, fit: &Fit, fits: &[Fit], judge: &Judge) -> V
 
 /// The best fit with one effect more, if any effect promises something.
 fn extend(setup: &Setup, base: &Fit, pool: &[EffectAt], judge: &Judge) -> Option<Fit> {
+    // What repeats shows best beside what the base explains.
+    let setup = &setup.with_lines_of(&base.innovation.pass);
     let nuisance = Nuisance::new(base);
-    let others: Vec<&EffectAt> = pool.iter().filter(|at| !base.hypothesis.effects.contains(at)).collect();
+    let others: Vec<&EffectAt> =
+        pool.iter().filter(|at| !base.hypothesis.effects.iter().any(|own| overlap(own, at))).collect();
     let mut scores: Vec<(f64, &EffectAt)> =
         others.into_par_iter().map(|at| (score(setup, base, &nuisance, at), at)).collect();
     scores.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(b.1)));
@@ -110,16 +157,37 @@ fn extend(setup: &Setup, base: &Fit, pool: &[EffectAt], judge: &Judge) -> Option
         return None;
     }
     let fits = fit_all(setup, base, hypotheses, Width::FURTHER, &|_| ());
-    let least = fits.iter().map(|fit| judge.cost(fit)).fold(f64::INFINITY, f64::min);
-    // Of those that the evidence does not tell apart, the simplest; of these the first in the library's order where it is
-    // truly even.
-    let even: Vec<Fit> = fits.into_iter().filter(|fit| judge.cost(fit) < least + WORTH).collect();
+    let chosen = simplest(&fits, |fit| judge.cost(fit))?;
+    if base.shooting_error <= INEXACT {
+        // With a model that is right the innovations say most: windows take a late sensor for another start.
+        let small: Vec<Fit> = fits.iter().filter(|fit| judge.gains(fit, base)).cloned().collect();
+        let complete = simplest(&small, |fit| fit.innovation.evidence_cost).filter(|fit| {
+            same(&fit.hypothesis.effects, &chosen.hypothesis.effects) || leaves_nothing(setup, fit, pool)
+        });
+        return complete.or(Some(chosen));
+    }
+    Some(chosen)
+}
+
+/// Of fits that the cost does not tell apart from the best, the simplest; of these the first in the library's order where
+/// it is truly even.
+fn simplest(fits: &[Fit], cost: impl Fn(&Fit) -> f64) -> Option<Fit> {
+    let least = fits.iter().map(&cost).fold(f64::INFINITY, f64::min);
+    let even: Vec<&Fit> = fits.iter().filter(|fit| cost(fit) < least + WORTH).collect();
     let size = |fit: &Fit| fit.hypothesis.fitted.len();
-    let smallest = even.iter().map(size).min()?;
-    let simplest: Vec<Fit> = even.into_iter().filter(|fit| size(fit) == smallest).collect();
-    let least = simplest.iter().map(|fit| judge.cost(fit)).fold(f64::INFINITY, f64::min);
-    let best = simplest.into_iter().filter(|fit| judge.cost(fit) < least + EVEN);
-    best.min_by(|a, b| a.hypothesis.effects.cmp(&b.hypothesis.effects))
+    let smallest = even.iter().map(|fit| size(fit)).min()?;
+    let simplest: Vec<&Fit> = even.into_iter().filter(|fit| size(fit) == smallest).collect();
+    let least = simplest.iter().map(|fit| cost(fit)).fold(f64::INFINITY, f64::min);
+    let best = simplest.into_iter().filter(|fit| cost(fit) < least + EVEN);
+    best.min_by(|a, b| a.hypothesis.effects.cmp(&b.hypothesis.effects)).cloned()
+}
+
+/// Whether no effect of the library promises anything beside a fit.
+fn leaves_nothing(setup: &Setup, fit: &Fit, pool: &[EffectAt]) -> bool {
+    let setup = &setup.with_lines_of(&fit.innovation.pass);
+    let nuisance = Nuisance::new(fit);
+    let others = pool.par_iter().filter(|at| !fit.hypothesis.effects.iter().any(|own| overlap(own, at)));
+    others.map(|at| score(setup, fit, &nuisance, at)).reduce(|| 0.0, f64::max) < NOTHING
 }
 
 /// How much of the base's squared innovations an effect's signature takes, at most: a score test.
@@ -132,22 +200,23 @@ fn score(setup: &Setup, base: &Fit, nuisance: &Nuisance, at: &EffectAt) -> f64 {
 }
 
 /// Leaves out each effect without which the evidence loses less than [`WORTH`], the least needed first.
-fn prune(setup: &Setup, null: &Fit, mut fit: Fit, fits: &[Fit], judge: &Judge) -> Fit {
+fn prune(setup: &Setup, null: &Fit, mut fit: Fit, fits: &[Fit], pool: &[EffectAt], judge: &Judge) -> Fit {
     while fit.hypothesis.effects.len() > 1 && !setup.stop.leaves_out(|| SEVERAL.into()) {
         let effects = fit.hypothesis.effects.clone();
-        let doubtful: Vec<usize> =
-            (0..effects.len()).filter(|k| distance(&fit, *k).is_none_or(|d| d < CERTAIN)).collect();
+        let doubtful: Vec<usize> = (0..effects.len()).filter(|k| !is_certain(&fit, *k)).collect();
         let without = doubtful.into_par_iter().map(|left_out| {
             let mut rest = effects.clone();
             rest.remove(left_out);
             match fits.iter().find(|f| same(&f.hypothesis.effects, &rest)) {
                 Some(known) => known.clone(),
-                None => fit_hypothesis(setup, null, library::hypothesis(setup, &rest)),
+                // From where they are beside it; another start may have missed them.
+                None => fit_part(setup, null, library::hypothesis(setup, &rest), &fit),
             }
         });
         let without: Vec<Fit> = without.collect();
         let best = without.into_iter().min_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
-        match best.filter(|best| !judge.is_worth(&fit, best)) {
+        let complete = || leaves_nothing(setup, &fit, pool);
+        match best.filter(|best| !judge.is_worth_or(&fit, best, complete)) {
             Some(simpler) => fit = simpler,
             None => break,
         }
@@ -178,21 +247,23 @@ fn simplify(setup: &Setup, null: &Fit, mut fit: Fit, judge: &Judge) -> Fit {
     fit
 }
 
-/// Squared distance of an effect's parameters from their nulls in units of their covariance (Wald's statistic).
-fn distance(fit: &Fit, effect: usize) -> Option<f64> {
-    let fitted = fit.hypothesis.fitted.iter().enumerate();
-    let own: Vec<usize> = fitted
-        .filter(|(_, f)| matches!(f.slot, Slot::Effect { effect: of, .. } if of == effect))
-        .map(|(j, _)| j)
-        .collect();
-    if own.is_empty() {
-        return None;
-    }
-    let covariance = fit.innovation.minimum.covariance()?;
-    let part = DMatrix::from_fn(own.len(), own.len(), |i, j| covariance[(own[i], own[j])]);
-    let away = DVector::from_fn(own.len(), |i, _| fit.theta()[own[i]] - fit.hypothesis.fitted[own[i]].null);
-    let distance = away.dot(&part.cholesky()?.solve(&away));
-    distance.is_finite().then_some(distance)
+/// Whether every parameter of an effect is far from its null: a frequency may be where there is no amplitude.
+fn is_certain(fit: &Fit, effect: usize) -> bool {
+    let values = fit.theta().iter().zip(fit.innovation.minimum.std());
+    let own = fit
+        .hypothesis
+        .fitted
+        .iter()
+        .zip(values)
+        .filter(|(f, _)| matches!(f.slot, Slot::Effect { effect: of, .. } if of == effect));
+    own.map(|(f, (value, std))| (value - f.null).abs() / std).all(|away| away > CERTAIN)
+}
+
+/// Whether two effects are one, or one contains the other at its place: they are alternatives, not companions.
+fn overlap(a: &EffectAt, b: &EffectAt) -> bool {
+    let contains =
+        |a: &EffectAt, b: &EffectAt| a.effect == b.effect || a.effect.simpler().contains(&b.effect);
+    a.place == b.place && (contains(a, b) || contains(b, a))
 }
 
 /// Whether two lists hold the same effects.

@@ -69,7 +69,7 @@ impl Judge {
     /// Whether `fit`, which has more effects than `base`, is worth them.
     ///
     /// Where no hypothesis reaches the sensors' noise, whatever is flexible gains by either loss: a further effect must
-    /// gain by both, and take a good part of what is left in some output.
+    /// gain by both, and take a good part of what is left in some output; unless with it the noise is reached.
     #[must_use]
     pub fn is_worth(&self, fit: &Fit, base: &Fit) -> bool {
         if self.cost(fit) >= self.cost(base) - WORTH {
@@ -78,16 +78,29 @@ impl Judge {
         if base.shooting_error <= INEXACT && !self.is_material(fit, base) {
             return false;
         }
-        let places = |of: &Fit| of.hypothesis.effects.iter().map(|at| at.place.clone()).collect::<Vec<_>>();
-        let known = places(base);
-        let beside = !known.is_empty() && places(fit).iter().all(|place| known.contains(place));
-        if beside && base.shooting_error - fit.shooting_error < MATERIAL_BESIDE * self.gap {
+        if is_beside(fit, base) && base.shooting_error - fit.shooting_error < MATERIAL_BESIDE * self.gap {
             return false;
         }
         let closes = |(after, before): (&f64, &f64)| *after < (1.0 - CLOSED) * before;
         self.exact
+            || fit.shooting_error <= INEXACT
             || (fit.innovation.evidence_cost < base.innovation.evidence_cost
                 && fit.output_errors.iter().zip(&base.output_errors).any(closes))
+    }
+
+    /// The same; what is too small to be told from the first effect's form counts where nothing at all is left with it
+    /// (`complete`): a form that is off leaves more than one effect takes.
+    #[must_use]
+    pub fn is_worth_or(&self, fit: &Fit, base: &Fit, complete: impl FnOnce() -> bool) -> bool {
+        self.is_worth(fit, base) || (base.shooting_error <= INEXACT && self.gains(fit, base) && complete())
+    }
+
+    /// Whether a further effect at a place of its own brings more than [`WORTH`] by both losses.
+    #[must_use]
+    pub fn gains(&self, fit: &Fit, base: &Fit) -> bool {
+        !is_beside(fit, base)
+            && self.cost(fit) < self.cost(base) - WORTH
+            && fit.innovation.evidence_cost < base.innovation.evidence_cost - WORTH
     }
 
     /// Whether what `fit` explains beyond `base` is more than a form that is known to a few percent may be off by.
@@ -124,4 +137,10 @@ impl Judge {
         let windows = self.independence * windows;
         if self.exact { 0.5 * (innovations + windows) } else { windows }
     }
+}
+
+/// Whether all that `fit` has acts where `base` has effects.
+fn is_beside(fit: &Fit, base: &Fit) -> bool {
+    let known: Vec<_> = base.hypothesis.effects.iter().map(|at| &at.place).collect();
+    !known.is_empty() && fit.hypothesis.effects.iter().all(|at| known.contains(&&at.place))
 }

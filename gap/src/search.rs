@@ -199,15 +199,18 @@ pub struct Width {
     pub shortlist: usize,
     /// Of these, those that are fitted to convergence by innovation likelihood.
     pub finalists: usize,
+    /// Of the given order, those that are fitted to convergence by both in any case.
+    pub leading: usize,
     /// Whether the best of each effect and place is among the first, and the best of each kind of place among the second.
     pub diverse: bool,
 }
 
 impl Width {
     /// For all single effects.
-    pub const SINGLES: Width = Width { shortlist: 20, finalists: 12, diverse: true };
-    /// For an effect beside others.
-    pub const FURTHER: Width = Width { shortlist: 3, finalists: 2, diverse: false };
+    pub const SINGLES: Width = Width { shortlist: 20, finalists: 12, leading: 0, diverse: true };
+    /// For an effect beside others, in the order of a score test on innovations: windows are blind to what another start
+    /// of each makes good.
+    pub const FURTHER: Width = Width { shortlist: 3, finalists: 2, leading: 2, diverse: false };
 }
 
 /// A hypothesis with its starts, the most promising first.
@@ -282,6 +285,7 @@ pub fn fit_all(
     width: Width,
     done: &(dyn Fn(&str) + Sync),
 ) -> Vec<Fit> {
+    let leading = if setup.stop.asked() { 0 } else { width.leading };
     let screened: Vec<Screened> = hypotheses
         .into_par_iter()
         .filter(|hypothesis| !setup.stop.leaves_out(|| untried(hypothesis)))
@@ -301,7 +305,7 @@ pub fn fit_all(
             if setup.stop.leaves_out(|| untried(hypothesis)) {
                 return None;
             }
-            shoot_from(setup, base, hypothesis, starts, effort(promising[k]))
+            shoot_from(setup, base, hypothesis, starts, effort(promising[k] || k < leading))
         })
         .collect();
     let costs: Vec<f64> = shots.iter().map(|s| s.as_ref().map_or(f64::INFINITY, |s| s.cost)).collect();
@@ -309,15 +313,16 @@ pub fn fit_all(
         Some(at) if width.diverse => vec![at.place.kind],
         _ => Vec::new(),
     });
+    let finalist = |k: usize| finalists[k] || k < leading;
     let all: Vec<(usize, (Screened, Option<Shot>))> = screened.into_iter().zip(shots).enumerate().collect();
     all.into_par_iter()
         .filter_map(|(k, (screened, shot))| {
             let label = screened.hypothesis.label();
             let shot = shot?;
-            if !finalists[k] && setup.stop.leaves_out(|| untried(&screened.hypothesis)) {
+            if !finalist(k) && setup.stop.leaves_out(|| untried(&screened.hypothesis)) {
                 return None;
             }
-            let effort = effort(finalists[k] && !setup.stop.asked());
+            let effort = effort(finalist(k) && !setup.stop.asked());
             let fit = refine(setup, base, screened.hypothesis, shot, &screened.first, effort);
             done(&label);
             Some(fit)

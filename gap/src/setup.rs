@@ -5,7 +5,7 @@ use parallax_model::system::{Equations, Initial, Point};
 
 use crate::equations::EquationsSimulator;
 use crate::experiment::Experiment;
-use crate::filter::Noise;
+use crate::filter::{Noise, Pass};
 use crate::innovation::{NoiseModel, Segment, walk};
 use crate::noise;
 use crate::simulator::Simulator;
@@ -293,6 +293,32 @@ impl Setup {
             .collect();
         self.state_range = states.iter().map(|values| Range::of(values)).collect();
         self.frequencies = spectrum::frequencies(&pass.stamp, &whitened, self.period);
+    }
+
+    /// The same data, with the lines that stand out of what a fit leaves (its `pass`): where the search for a periodic cause beside
+    /// what the fit explains starts.
+    #[must_use]
+    pub fn with_lines_of(&self, pass: &Pass) -> Setup {
+        let (whitened, width, n) = (pass.whitened(), pass.states(), self.state_range.len());
+        let parameters = self.equations.nominal();
+        let mut setup = self.clone();
+        setup.frequencies = spectrum::frequencies(&pass.stamp, &whitened, self.period);
+        for (j, joint) in setup.joints.iter_mut().enumerate() {
+            let positions: Vec<f64> = pass
+                .stamp
+                .iter()
+                .enumerate()
+                .map(|(k, stamp)| {
+                    let states = &pass.state[k * width..k * width + n];
+                    let inputs: Vec<f64> = self.experiment.inputs.iter().map(|h| h.at(*stamp)).collect();
+                    let point = Point { parameters: &parameters, states, inputs: &inputs, time: *stamp };
+                    let values = self.equations.values(&point, &[]);
+                    self.equations.joint(j, &point, &values.lets).position
+                })
+                .collect();
+            joint.wavenumbers = spectrum::wavenumbers(&positions, &whitened);
+        }
+        setup
     }
 
     /// A rate of change of the states that the data suggest: output scale over the horizon.

@@ -37,6 +37,20 @@ fn dry_friction_beside_a_late_command() {
     assert!((value("input", "delay") - 0.04).abs() < 0.004);
 }
 
+/// It closes less of the gap than the form of the first one might be off by; but nothing at all is left with it.
+#[test]
+fn a_small_cause_beside_a_large_one() {
+    let report = diagnose(Hidden { offset: 0.004, input_delay: 0.04, ..Hidden::default() }, 13);
+    let effects = &report.which[0].effects;
+    assert_eq!(effects.len(), 2, "{}", report.summary);
+    assert_eq!(effects[0].name, "delay", "{}", report.summary);
+    assert!(
+        ["offset", "constant_force", "bias", "gravity_tilt"].contains(&&*effects[1].name),
+        "{}",
+        report.summary
+    );
+}
+
 #[test]
 fn a_single_cause_stays_alone() {
     let report = diagnose(Hidden { lag: 0.06, ..Hidden::default() }, 12);
