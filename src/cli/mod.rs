@@ -16,6 +16,7 @@ mod replay;
 mod run;
 mod sim;
 mod supergraph;
+mod top;
 mod withheld;
 
 use std::process::ExitCode;
@@ -53,6 +54,9 @@ enum Command {
     /// Run a graph in real time, each node a process.
     #[command(after_help = EXIT_CODES)]
     Run(run::Arguments),
+    /// Watch a running graph: rates, lateness, delays, losses, as they are now.
+    #[command(after_help = EXIT_CODES)]
+    Top(top::Arguments),
     /// Run a graph under a simulated clock.
     #[command(after_help = EXIT_CODES)]
     Sim(sim::Arguments),
@@ -139,6 +143,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Withheld(arguments) => withheld::run(&arguments),
         Command::WithheldTruth(arguments) => withheld::truth::run(&arguments),
         Command::WithheldPlay(arguments) => withheld::separate::run(&arguments),
+        Command::Top(arguments) => top::run(&arguments),
         Command::Sim(arguments) => sim::run(&arguments),
         Command::Replay(arguments) => replay::run(&arguments),
         Command::Import(arguments) => import::run(&arguments),

@@ -40,7 +40,7 @@ impl SharedPage {
         if file.metadata()?.len() < PAGE as u64 {
             file.set_len(PAGE as u64)?;
         }
-        Self::map(&file)
+        Self::map(&file, libc::PROT_READ | libc::PROT_WRITE)
     }
 
     /// The page in this file, which another process made.
@@ -50,16 +50,26 @@ impl SharedPage {
             // Touching what a file does not hold would end this process with a bus error.
             return Err(io::ErrorKind::UnexpectedEof.into());
         }
-        Self::map(&file)
+        Self::map(&file, libc::PROT_READ | libc::PROT_WRITE)
     }
 
-    fn map(file: &File) -> io::Result<Self> {
+    /// The page in this file, to be looked at and not to be written to: a store through this mapping would end the
+    /// process.
+    pub(crate) fn look_at(path: &Path) -> io::Result<Self> {
+        let file = OpenOptions::new().read(true).custom_flags(libc::O_NOFOLLOW).open(path)?;
+        if file.metadata()?.len() < PAGE as u64 {
+            return Err(io::ErrorKind::UnexpectedEof.into());
+        }
+        Self::map(&file, libc::PROT_READ)
+    }
+
+    fn map(file: &File, access: libc::c_int) -> io::Result<Self> {
         // SAFETY: a new mapping at a place that the kernel chooses; the descriptor is open and the file a page long.
         let start = unsafe {
             libc::mmap(
                 std::ptr::null_mut(),
                 PAGE,
-                libc::PROT_READ | libc::PROT_WRITE,
+                access,
                 // Already present when it is first touched: no page fault in the middle of a step.
                 libc::MAP_SHARED | libc::MAP_POPULATE,
                 file.as_raw_fd(),

@@ -41,7 +41,7 @@ use std::path::PathBuf;
 
 pub use port::{Endpoint, Loan, Publisher, Service, Subscriber, View};
 pub use space::{Space, clean_stale};
-pub(crate) use space::{free_bytes, stale_runs};
+pub(crate) use space::{free_bytes, live_directories, stale_runs};
 pub use wake::{Listener, Waker};
 
 /// What the two ends of a channel must agree on.

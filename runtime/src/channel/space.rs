@@ -228,6 +228,24 @@ pub fn clean_stale() -> Result<usize, ChannelError> {
     Ok(guard.clean(&base, shared_memory))
 }
 
+/// The directories of this user's runs of which somebody is alive, sorted. Nothing is removed and nobody is held up: the
+/// locks are looked at under the guard, so that no run is being made meanwhile.
+///
+/// # Errors
+///
+/// As [`Space::create`].
+pub(crate) fn live_directories() -> Result<Vec<PathBuf>, ChannelError> {
+    let base = base(Path::new(SHARED_MEMORY))?;
+    let _guard = Guard::take(&base)?;
+    let entries = fs::read_dir(&base).into_iter().flatten().flatten().map(|entry| entry.path());
+    let mut locks: Vec<PathBuf> =
+        entries.filter(|path| path.extension().is_some_and(|e| e == "lock")).collect();
+    locks.sort();
+    // A lock that can be had belongs to nobody.
+    locks.retain(|lock| File::open(lock).is_ok_and(|file| file.try_lock().is_err()));
+    Ok(locks.into_iter().map(|lock| lock.with_extension("")).filter(|run| run.is_dir()).collect())
+}
+
 /// How many runs of this user lie below `shared_memory` whose owner is dead. Nothing is removed.
 pub(crate) fn stale_runs(shared_memory: &Path) -> usize {
     // SAFETY: geteuid takes no arguments, cannot fail and touches no memory of ours.

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use super::about::{About, RunPage};
 use super::control::Order;
 use super::crew::{Crew, Site};
 use super::error::RunError;
@@ -72,6 +73,8 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
     };
     let vitals = graph.nodes().iter().map(|node| Vitals::open(space.path(), &node.name, node.inputs.len()));
     let vitals = vitals.collect::<Result<Vec<_>, _>>()?;
+    let page = RunPage::create(&space)?;
+    About::new(&graph, &settings).write(&space)?;
     let hiring = Hiring {
         command: std::mem::take(&mut options.node_command),
         private: std::mem::take(&mut options.private),
@@ -90,7 +93,9 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
         recorder.begin(describe_clock(clock, options.seed));
     }
     crew.order_all(&Order::Start { epoch: clock.epoch(), resume: false });
+    page.running(clock.epoch());
     let end = crew.watch(clock, &mut options, signals.as_ref());
+    page.stopping(&end, &graph);
     let duration = match (&end, options.duration) {
         (End::Duration, Some(duration)) => duration,
         _ => clock.now().max(0),
@@ -100,6 +105,7 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
     let recorder = crew.recorder.take();
     let recording = recorder.map(|recorder| recorder.finish(&graph, duration, &endpoint));
     let (nodes, journal) = crew.dismiss(clock);
+    page.over();
     warnings.extend(recording.iter().flat_map(RecordingReport::warnings));
     warnings.extend(nodes.iter().filter(|node| node.steps == 0).map(never_stepped));
     Ok(RunReport {

@@ -27,6 +27,7 @@
 //! # }
 //! ```
 
+mod about;
 mod account;
 mod control;
 mod cores;
@@ -34,6 +35,7 @@ mod crew;
 mod error;
 mod event;
 mod launcher;
+mod live;
 mod orders;
 mod plan;
 mod priority;
@@ -56,9 +58,14 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
+pub use about::Phase;
 pub use error::RunError;
 pub use event::{Event, EventKind, Watcher};
 pub use launcher::run;
+pub use live::{
+    ConnectionView, LiveError, LiveRun, NodeState, NodeView, RecorderView, RunName, Sample, Snapshot,
+    live_runs,
+};
 pub use report::{End, Exit, InputReport, NodeReport, NonFinite, Percentiles, RecordingReport, RunReport};
 pub use settings::{
     LaunchSpec, NodeLaunch, NodeSettings, OnDeadline, OnHang, OnNonFinite, Policy, Refused, Restart, RunAs,

@@ -4,6 +4,7 @@
 //! there outlives the node: the launcher reads from it how a node fared that was killed, and a node that is started again
 //! takes up the counts of the one before. There is one writer at a time.
 
+use std::io;
 use std::ops::Range;
 use std::path::Path;
 use std::sync::atomic::AtomicU64;
@@ -53,6 +54,11 @@ pub(super) enum Vital {
     Starts,
     /// Safe outputs applied when it ended, and when: 0 when none were.
     Stopped,
+    /// Its process and its thread, as the system numbers them.
+    Process,
+    Thread,
+    /// When the last step ended, on the monotonic clock.
+    Ended,
 }
 
 /// One number of an input: its place among those of the input.
@@ -69,6 +75,8 @@ pub(super) enum InputVital {
     Waiting,
     /// Safe outputs that stood in for messages.
     Safe,
+    /// Messages that the last step saw.
+    Filled,
     /// The first of as many numbers as there are reasons for a loss.
     Lost,
 }
@@ -89,26 +97,36 @@ pub(super) struct Vitals {
     inputs: Vec<SharedPage>,
     pub(super) lateness: Durations,
     pub(super) computation: Durations,
+    /// By input: how long the messages that a step saw were under way, from the end of the step that made them.
+    pub(super) delays: Vec<Durations>,
 }
 
 impl Vitals {
     /// The pages of the node in this run; they are made where there are none, and kept otherwise.
     pub(super) fn open(run: &Path, node: &str, inputs: usize) -> Result<Self, ChannelError> {
-        let page = |what: &str| {
-            let path = run.join(format!("{node}.{what}"));
-            SharedPage::create(&path).map_err(|source| ChannelError::Io {
-                what: "cannot make the signs of life",
-                path,
-                source,
-            })
+        Self::with(run, node, inputs, "cannot make the signs of life", SharedPage::create)
+    }
+
+    fn with(
+        run: &Path,
+        node: &str,
+        inputs: usize,
+        what: &'static str,
+        open: impl Fn(&Path) -> io::Result<SharedPage>,
+    ) -> Result<Self, ChannelError> {
+        let page = |name: &str| {
+            let path = run.join(format!("{node}.{name}"));
+            open(&path).map_err(|source| ChannelError::Io { what, path, source })
         };
+        let durations = |name: &str| page(name).map(|page| Durations { page });
         Ok(Self {
             page: page("vitals")?,
             inputs: (0..inputs.div_ceil(INPUTS))
                 .map(|number| page(&format!("inputs{number}")))
                 .collect::<Result<_, _>>()?,
-            lateness: Durations { page: page("lateness")? },
-            computation: Durations { page: page("computation")? },
+            lateness: durations("lateness")?,
+            computation: durations("computation")?,
+            delays: (0..inputs).map(|input| durations(&format!("delay{input}"))).collect::<Result<_, _>>()?,
         })
     }
 
@@ -203,8 +221,49 @@ impl Durations {
     }
 
     pub(super) fn percentiles(&self) -> Percentiles {
+        self.counts().percentiles()
+    }
+
+    /// What has been counted so far.
+    pub(super) fn counts(&self) -> Histogram {
         let cell = |index| self.page.cell(index).load(Relaxed);
-        Histogram::new((0..Histogram::BINS).map(cell), cell(Self::MAX) as Nanos).percentiles()
+        Histogram::new((0..Histogram::BINS).map(cell), cell(Self::MAX) as Nanos)
+    }
+}
+
+/// The pages of one node as somebody sees them who only looks: they cannot be written to through this mapping.
+#[derive(Debug)]
+pub(super) struct VitalsView(Vitals);
+
+impl VitalsView {
+    /// The pages that a node of this run has made.
+    pub(super) fn open(run: &Path, node: &str, inputs: usize) -> Result<Self, ChannelError> {
+        let what = "cannot look at the signs of life";
+        Vitals::with(run, node, inputs, what, SharedPage::look_at).map(Self)
+    }
+
+    pub(super) fn get(&self, vital: Vital) -> u64 {
+        self.0.get(vital)
+    }
+
+    pub(super) fn input(&self, input: usize, vital: InputVital) -> u64 {
+        self.0.input(input, vital)
+    }
+
+    pub(super) fn lost(&self, input: usize, reason: LossReason) -> u64 {
+        self.0.lost(input, reason)
+    }
+
+    pub(super) fn lateness(&self) -> Histogram {
+        self.0.lateness.counts()
+    }
+
+    pub(super) fn computation(&self) -> Histogram {
+        self.0.computation.counts()
+    }
+
+    pub(super) fn delay(&self, input: usize) -> Histogram {
+        self.0.delays[input].counts()
     }
 }
 

@@ -24,6 +24,8 @@ pub(super) struct Input {
     pub(super) superseded_before: u64,
     /// Nothing has arrived since an earlier process of this node ended.
     pub(super) resumed: bool,
+    /// Messages below this number have their delay counted.
+    pub(super) counted: u64,
     /// Whether nothing was left waiting when it was last looked at.
     pub(super) empty: bool,
 }

@@ -101,6 +101,7 @@ impl Stepper {
                 consumed_before: 0,
                 superseded_before: 0,
                 resumed: false,
+                counted: 0,
                 empty: false,
             });
         }
@@ -108,6 +109,11 @@ impl Stepper {
             false => None,
             true => Some(Records::open(endpoint, &plan::records(graph, index))?),
         };
+        let vitals = Vitals::open(run, &plan.name, plan.inputs.len())?;
+        // Whoever looks on finds the thread by these.
+        vitals.set(Vital::Process, std::process::id().into());
+        // SAFETY: gettid takes no arguments, cannot fail and touches no memory of ours.
+        vitals.set(Vital::Thread, unsafe { libc::gettid() } as u64);
         Ok(Self {
             node,
             inbox: Inbox::new(graph, index),
@@ -125,7 +131,7 @@ impl Stepper {
             grid: plan.grid,
             end: settings.duration.unwrap_or(Nanos::MAX),
             settings: settings.nodes.get(index).cloned().unwrap_or_default(),
-            vitals: Vitals::open(run, &plan.name, plan.inputs.len())?,
+            vitals,
         })
     }
 
@@ -285,8 +291,17 @@ impl Stepper {
         }
         self.vitals.lateness.add(start - earliest);
         self.vitals.computation.add(end - start);
-        for input in 0..self.inputs.len() {
+        self.vitals.set(Vital::Ended, (clock.epoch() + end) as u64);
+        for (input, window) in self.inbox.windows().iter().enumerate() {
             self.show(input);
+            let stamps = || window.stamps().iter().filter(|stamp| stamp.seq.is_some());
+            self.vitals.set_input(input, InputVital::Filled, stamps().count() as u64);
+            // Counted here and not on arrival: nothing comes between a message and the step that waits for it.
+            let counted = &mut self.inputs[input].counted;
+            for stamp in stamps().filter(|stamp| stamp.seq >= Some(*counted)) {
+                self.vitals.delays[input].add(stamp.received.saturating_sub(stamp.sent));
+            }
+            *counted = stamps().next_back().map_or(*counted, |stamp| stamp.seq.map_or(0, |seq| seq + 1));
         }
         Ok(())
     }
