@@ -2,63 +2,18 @@
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+mod live;
+
 use std::fs::File;
 use std::io::{Read, Write};
 use std::os::fd::OwnedFd;
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Child, ExitStatus, Stdio};
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
 
-use parallax::runtime::launch::{End, LiveError, LiveRun, NodeState, Phase, RunReport, Snapshot};
+use live::{eventually, finish, interrupt, parallax, start, under_way};
+use parallax::runtime::launch::{End, LiveError, LiveRun, NodeState, Phase, Snapshot};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{Winsize, tcgetattr, tcsetwinsize};
-
-fn parallax(arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_parallax"));
-    command.args(arguments);
-    command
-}
-
-/// A run of the pendulum, and its name: the process of its launcher.
-fn start(more: &[&str]) -> (Child, String) {
-    let mut command = parallax(&["run", "pendulum", "--json"]);
-    let run = command.args(more).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-    let name = run.id().to_string();
-    (run, name)
-}
-
-fn eventually<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
-    let start = Instant::now();
-    loop {
-        if let Some(found) = look() {
-            return found;
-        }
-        assert!(start.elapsed() < Duration::from_secs(60), "{what} does not come");
-        std::thread::sleep(Duration::from_millis(10));
-    }
-}
-
-/// The run, once all its nodes make steps.
-fn under_way(name: &str) -> LiveRun {
-    let run = eventually("the run", || LiveRun::find(Some(name)).ok());
-    eventually("the first steps", || {
-        let sample = run.sample();
-        let snapshot = run.snapshot(&sample, &sample);
-        (snapshot.phase == Phase::Running && snapshot.nodes.iter().all(|node| node.steps > 5)).then_some(())
-    });
-    run
-}
-
-fn interrupt(run: &Child) {
-    let id = rustix::process::Pid::from_child(run);
-    rustix::process::kill_process(id, rustix::process::Signal::INT).unwrap();
-}
-
-fn finish(run: Child) -> RunReport {
-    let output = run.wait_with_output().unwrap();
-    serde_json::from_slice(&output.stdout)
-        .unwrap_or_else(|error| panic!("{error}: {}", String::from_utf8_lossy(&output.stderr)))
-}
 
 #[test]
 fn what_is_shown_is_what_the_run_reports() {
@@ -66,7 +21,7 @@ fn what_is_shown_is_what_the_run_reports() {
     let out = folder.path().join("run.mcap");
     // Every step of the agent is late.
     let settings = ["--out", out.to_str().unwrap(), "--set", "agent.deadline=0.000001"];
-    let (mut run, name) = start(&settings);
+    let (mut run, name) = start("pendulum", &settings);
     let live = under_way(&name);
     let output = parallax(&["top", &name, "--json", "--interval", "0.5"]).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -203,7 +158,7 @@ impl Screen {
 
 #[test]
 fn the_screen_shows_the_run_and_is_given_back() {
-    let (run, name) = start(&[]);
+    let (run, name) = start("pendulum", &[]);
     let _live = under_way(&name);
     for keys in [&b"q"[..], &[3], b" j\x1b[Bkq"] {
         let mut screen = Screen::new();

@@ -25,10 +25,11 @@ use parallax_model::Scalar;
 use parallax_model::node_model::{FlatModel, NodeStep, Scratch};
 use parallax_model::plant::{Plant, Unfit};
 use parallax_model::program::Program;
-use parallax_model::system::{Initial, Point, System, SystemError};
+use parallax_model::system::{Initial, Parameter as Declared, Point, System, SystemError};
 use parallax_runtime::model_node::{ModelKind, ModelStart};
 use parallax_runtime::node::{Layout, NodeContext, NodeError};
 use parallax_runtime::registry::NodeKind;
+use parallax_runtime::tuning::Parameter;
 use serde::Deserialize;
 
 /// Why a system cannot be a node of a graph.
@@ -97,7 +98,7 @@ struct Settings {
 /// Where the outputs are just the leaves of one node's messages, a node of this kind can take that node's place.
 ///
 /// In a graph, `initial.STATE` says where a state starts, which the system may leave open, and `parameters.NAME` replaces
-/// a nominal value.
+/// a nominal value. All parameters of the system may be set while the node runs.
 ///
 /// # Errors
 ///
@@ -189,7 +190,10 @@ pub fn kind(system: &System, layout: impl Fn(&str) -> Option<Layout>) -> Result<
         Ok(ModelStart { params, state })
     };
     let initial = vec![0.0; outputs.len()];
-    let kind = NodeKind::from_model(layout, initial, ModelKind::flat(tick, start));
+    let model = ModelKind::flat(tick, start);
+    let settable = |parameter: &Declared| Parameter::new(&parameter.name, &parameter.unit);
+    let model = system.parameters.iter().map(settable).fold(model, ModelKind::with_settable);
+    let kind = NodeKind::from_model(layout, initial, model);
     Ok(ports.into_iter().fold(kind, |kind, (name, layout)| kind.input_with_layout(name, layout)))
 }
 

@@ -5,6 +5,7 @@ use std::marker::PhantomData;
 use parallax_runtime::node::{Message, Node, NodeError, Port, Step};
 use parallax_runtime::registry::NodeKind;
 use parallax_runtime::time::{Nanos, to_seconds};
+use parallax_runtime::tuning::{Parameter, Tuning};
 use serde::Deserialize;
 
 /// A message that carries a measurement to control.
@@ -119,6 +120,49 @@ impl<M: Measured, C: Commanded> Node for Pid<M, C> {
     fn step(&mut self, step: &Step<'_>) -> Result<C, NodeError> {
         let received = step.latest(measurement::<M>());
         Ok(C::command(self.control(step.start, received.message.measured())))
+    }
+
+    fn tuning(&mut self) -> Option<&mut dyn Tuning> {
+        Some(self)
+    }
+}
+
+/// The limits are called `low` and `high`. The state is the integral's share of the command.
+impl<M, C> Tuning for Pid<M, C> {
+    fn parameters(&self) -> Vec<Parameter> {
+        // Their units follow from the messages, which are not known here.
+        ["setpoint", "proportional", "integral", "derivative", "low", "high"]
+            .map(|name| Parameter::new(name, ""))
+            .into()
+    }
+
+    fn value(&self, parameter: usize) -> f64 {
+        let Parameters { setpoint, proportional, integral, derivative, limits: [low, high], .. } =
+            self.parameters;
+        [setpoint, proportional, integral, derivative, low, high][parameter]
+    }
+
+    fn set(&mut self, parameter: usize, value: f64) {
+        let Parameters { setpoint, proportional, integral, derivative, limits: [low, high], .. } =
+            &mut self.parameters;
+        *[setpoint, proportional, integral, derivative, low, high][parameter] = value;
+    }
+
+    fn settle(&mut self) -> Result<(), String> {
+        let [low, high] = self.parameters.limits;
+        if low <= high { Ok(()) } else { Err(format!("`low` would be {low} and `high` {high}")) }
+    }
+
+    fn state(&self) -> Vec<String> {
+        vec!["accumulated".into()]
+    }
+
+    fn read_state(&self, values: &mut [f64]) {
+        values[0] = self.accumulated;
+    }
+
+    fn reset(&mut self) {
+        (self.accumulated, self.last) = (0.0, None);
     }
 }
 

@@ -68,3 +68,4 @@ pub mod recording;
 pub mod registry;
 pub mod schedule;
 pub mod time;
+pub mod tuning;

@@ -11,6 +11,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 use crate::node::{ErasedNode, InputWindow, NodeContext, NodeError, Step};
 use crate::time::to_seconds;
+use crate::tuning::{Parameter, Tuning};
 
 /// What a model node starts with.
 #[derive(Debug, Clone, PartialEq)]
@@ -36,6 +37,8 @@ type Start = dyn Fn(&NodeContext) -> Result<ModelStart, NodeError> + Send + Sync
 pub struct ModelKind {
     model: Arc<dyn ErasedModel>,
     start: Arc<Start>,
+    /// Parameters that may be set while a node runs, each with its leaf.
+    settable: Arc<[(Parameter, usize)]>,
 }
 
 impl fmt::Debug for ModelKind {
@@ -57,7 +60,22 @@ impl ModelKind {
         model: impl FlatModel,
         start: impl Fn(&NodeContext) -> Result<ModelStart, NodeError> + Send + Sync + 'static,
     ) -> Self {
-        Self { model: Arc::new(model), start: Arc::new(start) }
+        Self { model: Arc::new(model), start: Arc::new(start), settable: Arc::new([]) }
+    }
+
+    /// The kind with one more parameter that may be set while a node runs: the leaf of this name among the model's
+    /// parameters.
+    ///
+    /// # Panics
+    ///
+    /// When the model has no such parameter: a mistake in the kind.
+    #[must_use]
+    pub fn with_settable(mut self, parameter: Parameter) -> Self {
+        let leaf = self.model.params().iter().position(|name| *name == parameter.name);
+        let leaf =
+            leaf.unwrap_or_else(|| panic!("the model {} has no `{}`", self.model.name(), parameter.name));
+        self.settable = self.settable.iter().cloned().chain([(parameter, leaf)]).collect();
+        self
     }
 
     /// The model.
@@ -99,7 +117,9 @@ impl ModelKind {
             model: Arc::clone(&self.model),
             prepared: prepared.into(),
             params: params.into(),
+            start: state.clone().into(),
             state: state.into(),
+            settable: Arc::clone(&self.settable),
             noise: vec![0.0; self.model.noise()].into(),
             random: context.random(),
             scratch: Scratch::default(),
@@ -112,7 +132,10 @@ pub struct ModelNode {
     model: Arc<dyn ErasedModel>,
     params: Box<[f64]>,
     prepared: Box<[f64]>,
+    /// The state before the first step.
+    start: Box<[f64]>,
     state: Box<[f64]>,
+    settable: Arc<[(Parameter, usize)]>,
     noise: Box<[f64]>,
     random: ChaCha8Rng,
     scratch: Scratch<f64>,
@@ -156,6 +179,42 @@ impl ErasedNode for ModelNode {
         let step = NodeStep::new(times, &self.noise, &windows).with_prepared(&self.prepared);
         self.model.step_f64(&self.params, &mut self.state, &step, &mut self.scratch, output);
         Ok(())
+    }
+
+    fn tuning(&mut self) -> Option<&mut dyn Tuning> {
+        Some(self)
+    }
+}
+
+impl Tuning for ModelNode {
+    fn parameters(&self) -> Vec<Parameter> {
+        self.settable.iter().map(|(parameter, _)| parameter.clone()).collect()
+    }
+
+    fn value(&self, parameter: usize) -> f64 {
+        self.params[self.settable[parameter].1]
+    }
+
+    fn set(&mut self, parameter: usize, value: f64) {
+        self.params[self.settable[parameter].1] = value;
+    }
+
+    fn settle(&mut self) -> Result<(), String> {
+        self.model.prepare_f64(&self.params, &mut self.prepared);
+        Ok(())
+    }
+
+    fn state(&self) -> Vec<String> {
+        self.model.state()
+    }
+
+    fn read_state(&self, values: &mut [f64]) {
+        values.copy_from_slice(&self.state);
+    }
+
+    /// The random numbers go on where they are.
+    fn reset(&mut self) {
+        self.state.copy_from_slice(&self.start);
     }
 }
 

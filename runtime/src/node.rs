@@ -35,6 +35,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::random::{Purpose, fnv1a, stream};
 use crate::time::Nanos;
+use crate::tuning::Tuning;
 
 /// A node's own parameters: a table, as in `graph.toml`.
 pub type Parameters = serde_json::Map<String, serde_json::Value>;
@@ -376,6 +377,11 @@ pub trait Node: Send {
     fn stop(&mut self, why: Stopping) {
         let _ = why;
     }
+
+    /// What may be set, seen and reset of it while it runs: nothing, unless it says so.
+    fn tuning(&mut self) -> Option<&mut dyn Tuning> {
+        None
+    }
 }
 
 /// Why a node takes no further steps.
@@ -407,6 +413,11 @@ pub trait ErasedNode: Send {
     fn stop(&mut self, why: Stopping) {
         let _ = why;
     }
+
+    /// As [`Node::tuning`].
+    fn tuning(&mut self) -> Option<&mut dyn Tuning> {
+        None
+    }
 }
 
 impl<N: Node> ErasedNode for N {
@@ -418,6 +429,10 @@ impl<N: Node> ErasedNode for N {
 
     fn stop(&mut self, why: Stopping) {
         Node::stop(self, why);
+    }
+
+    fn tuning(&mut self) -> Option<&mut dyn Tuning> {
+        Node::tuning(self)
     }
 }
 

@@ -13,6 +13,7 @@ use parallax_model::tree::Tree;
 use crate::graph::{SafeOutput, SafeValue};
 use crate::model_node::{ModelKind, ModelStart};
 use crate::node::{ErasedNode, Layout, Message, Node, NodeContext, NodeError, Port};
+use crate::tuning::Parameter;
 
 /// An input that a kind of node declares.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -204,6 +205,23 @@ impl NodeKind {
     #[must_use]
     pub fn stand_in(mut self) -> Self {
         self.stand_in = true;
+        self
+    }
+
+    /// Declares a parameter of the kind's model that may be set while a node runs: `parallax set`. Other kinds say so with
+    /// [`Node::tuning`].
+    ///
+    /// # Panics
+    ///
+    /// When the kind has no model, or its model has no parameter of this name.
+    #[must_use]
+    pub fn settable(mut self, parameter: Parameter) -> Self {
+        let model = self.model.take();
+        let model = model.unwrap_or_else(|| panic!("`{}`: the kind has no model", parameter.name));
+        let model = model.with_settable(parameter);
+        let kind = model.clone();
+        self.build = Arc::new(move |context| Ok(Box::new(kind.node(context)?)));
+        self.model = Some(model);
         self
     }
 

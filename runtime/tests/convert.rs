@@ -61,6 +61,7 @@ fn a_graphs_leaves_become_signals() {
         ],
         losses: vec![],
         faults: vec![],
+        changes: vec![],
         truncated: None,
     };
     let log = recording.log();

@@ -9,8 +9,8 @@ use parallax_runtime::graph::{GraphSpec, NodeSpec};
 use parallax_runtime::node::{Consumed, Layout};
 use parallax_runtime::recording::ros2msg::field_names;
 use parallax_runtime::recording::{
-    Clock, Fault, FaultKind, InputRecord, Loss, LossReason, MessageRecord, NodeTrack, Recording, StepRecord,
-    write,
+    Change, ChangeKind, Clock, Fault, FaultKind, InputRecord, Loss, LossReason, MessageRecord, NodeTrack,
+    Recording, StepRecord, write,
 };
 use serde_json::{Value, json};
 
@@ -97,6 +97,18 @@ fn recording() -> Recording {
             time: 50,
             kind: FaultKind::Died { message: "signal 9, \"SIGKILL\" – überall".into() },
         }],
+        changes: vec![Change {
+            node: "node_1".into(),
+            step: 7,
+            time: 60,
+            by: "somebody".into(),
+            kind: ChangeKind::Set {
+                parameter: "gain".into(),
+                unit: "V/rad".into(),
+                old: 0.1 + 0.2,
+                new: -5e-324,
+            },
+        }],
         truncated: None,
     }
 }
@@ -146,11 +158,12 @@ fn python_reads_every_message() {
     for (topic, expected) in [
         ("/parallax/losses", serde_json::to_value(&recording.losses[0]).unwrap()),
         ("/parallax/faults", serde_json::to_value(&recording.faults[0]).unwrap()),
+        ("/parallax/changes", serde_json::to_value(&recording.changes[0]).unwrap()),
     ] {
         let text = read["topics"][topic]["messages"][0][3]["json"].as_str().unwrap();
         assert_eq!(serde_json::from_str::<Value>(text).unwrap(), expected);
     }
-    assert_eq!(read["counted"], counted + 2);
+    assert_eq!(read["counted"], counted + 3);
     assert_eq!(read["attachments"]["graph.json"]["graph"], serde_json::to_value(&recording.graph).unwrap());
 }
 

@@ -8,8 +8,8 @@ use std::path::Path;
 use parallax_runtime::graph::{GraphSpec, NodeSpec};
 use parallax_runtime::node::{Consumed, Layout};
 use parallax_runtime::recording::{
-    Clock, Fault, FaultKind, InputRecord, Loss, LossReason, MessageRecord, NodeTrack, Recording,
-    RecordingError, StepRecord, write,
+    Change, ChangeKind, Clock, Fault, FaultKind, InputRecord, Loss, LossReason, MessageRecord, NodeTrack,
+    Recording, RecordingError, StepRecord, write,
 };
 use proptest::prelude::*;
 
@@ -74,6 +74,11 @@ fn recording() -> impl Strategy<Value = Recording> {
         time,
         kind: FaultKind::Died { message },
     });
+    let set = ("[a-z.]{1,4}", "[a-z ]{0,3}", -1e300..1e300, any::<i32>()).prop_map(
+        |(parameter, unit, old, new)| ChangeKind::Set { parameter, unit, old, new: f64::from(new) / 3.0 },
+    );
+    let change = (any::<u64>(), any::<i64>(), "\\PC{0,8}", prop_oneof![set, Just(ChangeKind::Reset)])
+        .prop_map(|(step, time, by, kind)| Change { node: "node0".into(), step, time, by, kind });
     let clock = prop_oneof![
         any::<u64>().prop_map(|seed| Clock::Simulated { seed }),
         (any::<i64>(), any::<u64>()).prop_map(|(start, seed)| Clock::Wall {
@@ -83,8 +88,10 @@ fn recording() -> impl Strategy<Value = Recording> {
         }),
     ];
     let tracks = (0usize..4).prop_flat_map(|count| (0..count).map(track).collect::<Vec<_>>());
-    (tracks, clock, any::<i64>(), prop::collection::vec(loss, 0..3), prop::collection::vec(fault, 0..3))
-        .prop_map(|(nodes, clock, duration, losses, faults)| {
+    let losses = prop::collection::vec(loss, 0..3);
+    let (faults, changes) = (prop::collection::vec(fault, 0..3), prop::collection::vec(change, 0..3));
+    (tracks, clock, any::<i64>(), losses, faults, changes).prop_map(
+        |(nodes, clock, duration, losses, faults, changes)| {
             let specs = nodes.iter().map(|track| NodeSpec::new(&track.name, "kind nobody knows", 10.0));
             let graph = GraphSpec {
                 name: "test".into(),
@@ -93,8 +100,9 @@ fn recording() -> impl Strategy<Value = Recording> {
                 connections: vec![],
                 plant: None,
             };
-            Recording { graph, clock, duration, nodes, losses, faults, truncated: None }
-        })
+            Recording { graph, clock, duration, nodes, losses, faults, changes, truncated: None }
+        },
+    )
 }
 
 /// A recording as text, and the bits of its payloads: equal for equal recordings, NaN included.
@@ -176,6 +184,7 @@ fn sample() -> Recording {
         nodes,
         losses: vec![],
         faults: vec![],
+        changes: vec![],
         truncated: None,
     }
 }

@@ -8,12 +8,15 @@ use parallax_runtime::graph::Graph;
 use parallax_runtime::node::{ErasedNode, NodeError, Step};
 use parallax_runtime::random::{Purpose, stream};
 use parallax_runtime::recording::{
-    Clock, Fault, FaultKind, Loss, LossReason, MemorySink, Recording, RecordingSink, SinkError, StepView,
+    Change, Clock, Fault, FaultKind, Loss, LossReason, MemorySink, Recording, RecordingSink, SinkError,
+    StepView,
 };
 use parallax_runtime::schedule::{Account, GateError, Inbox, Wait};
 use parallax_runtime::time::Nanos;
+use parallax_runtime::tuning::{TuningError, apply};
 use rand_chacha::ChaCha8Rng;
 
+use crate::changes::{ChangePlan, ChangesError, Planned};
 use crate::event::{Class, Event, Queue};
 
 /// Why a graph could not be run under the simulated clock.
@@ -46,6 +49,17 @@ pub enum SimError {
         /// The factor.
         factor: f64,
     },
+    /// What is planned to be changed does not fit the graph.
+    #[error(transparent)]
+    Changes(#[from] ChangesError),
+    /// A node does not take what is planned to be changed in it.
+    #[error("before step {step}: {source}")]
+    Change {
+        /// The step.
+        step: u64,
+        /// Why.
+        source: TuningError,
+    },
     /// Nothing can run for this long.
     #[error("a duration of {duration} ns is not possible; it has to be positive")]
     Duration {
@@ -63,6 +77,7 @@ pub struct Executor {
     real_time_factor: Option<f64>,
     /// Whether nodes are left out: steps run when they would and send their initial messages.
     timing_only: bool,
+    changes: ChangePlan,
 }
 
 /// What a run came to.
@@ -74,6 +89,8 @@ pub struct Outcome {
     pub connections: Vec<ConnectionAccount>,
     /// Nodes that ended before the run did.
     pub faults: Vec<Fault>,
+    /// Changes that were planned for steps that were never made.
+    pub changes_left: usize,
 }
 
 /// Where the messages of one connection are at the end of a run.
@@ -92,7 +109,7 @@ pub struct ConnectionAccount {
 impl Executor {
     /// Runs `graph` with all randomness from `seed`, as fast as it can.
     pub fn new(graph: Graph, seed: u64) -> Self {
-        Self { graph, seed, real_time_factor: None, timing_only: false }
+        Self { graph, seed, real_time_factor: None, timing_only: false, changes: ChangePlan::default() }
     }
 
     /// Runs the schedule alone, without the nodes. A computation delay that follows from a step's output is then what
@@ -107,6 +124,13 @@ impl Executor {
     #[must_use]
     pub fn real_time_factor(mut self, factor: f64) -> Self {
         self.real_time_factor = Some(factor);
+        self
+    }
+
+    /// Sets and resets in the nodes what is planned, before the steps for which it is planned, and records that.
+    #[must_use]
+    pub fn changes(mut self, plan: ChangePlan) -> Self {
+        self.changes = plan;
         self
     }
 
@@ -148,7 +172,13 @@ impl Executor {
             }
             factor => factor.map(|factor| (Instant::now(), factor)),
         };
+        self.changes.check(&self.graph)?;
         let mut run = Run::new(&self.graph, self.seed, duration, sink, self.timing_only)?;
+        if !self.timing_only {
+            for (state, plan) in run.nodes.iter_mut().zip(self.graph.nodes()) {
+                state.planned = self.changes.of(&plan.name).into();
+            }
+        }
         for &node in self.graph.order() {
             run.wake(node, 0)?;
         }
@@ -183,6 +213,8 @@ struct NodeState {
     scheduled: bool,
     start: Nanos,
     sent: u64,
+    /// What is to be changed in it, in order.
+    planned: VecDeque<Planned>,
 }
 
 /// Messages under way on one connection, oldest first.
@@ -237,6 +269,7 @@ impl<'a, S: RecordingSink> Run<'a, S> {
                 scheduled: false,
                 start: 0,
                 sent: 0,
+                planned: VecDeque::new(),
             });
         }
         let flights = graph.connections().iter().enumerate().map(|(index, plan)| Flight {
@@ -320,6 +353,9 @@ impl<'a, S: RecordingSink> Run<'a, S> {
 
     #[inline]
     fn start(&mut self, node: usize, now: Nanos) -> Result<(), SimError> {
+        if !self.nodes[node].planned.is_empty() {
+            self.change(node, now)?;
+        }
         let state = &mut self.nodes[node];
         let step = state.inbox.begin(now).map_err(|source| gate_error(self.graph, node, now, source))?;
         let seq = step.seq;
@@ -330,6 +366,19 @@ impl<'a, S: RecordingSink> Run<'a, S> {
         let end = now.saturating_add(state.computation.sample(&mut state.random, &state.output));
         let rank = self.graph.nodes()[node].rank as u32;
         self.queue.push(Event { time: end, class: Class::End, rank, seq, target: node as u32 });
+        Ok(())
+    }
+
+    /// Makes the changes that are planned before the next step of a node, which starts now.
+    fn change(&mut self, node: usize, now: Nanos) -> Result<(), SimError> {
+        let state = &mut self.nodes[node];
+        let step = state.inbox.gate().seq();
+        while let Some(planned) = state.planned.pop_front_if(|planned| planned.is_due(step, now)) {
+            let made = apply(state.node.tuning(), &planned.node, &planned.changes);
+            for change in made.map_err(|source| SimError::Change { step, source })? {
+                self.sink.change(&Change { step, time: now, ..change })?;
+            }
+        }
         Ok(())
     }
 
@@ -427,7 +476,9 @@ impl<'a, S: RecordingSink> Run<'a, S> {
                 account,
             }
         });
-        Outcome { steps: self.steps, connections: connections.collect(), faults: self.faults }
+        let changes_left = self.nodes.iter().map(|node| node.planned.len()).sum();
+        let connections = connections.collect();
+        Outcome { steps: self.steps, connections, faults: self.faults, changes_left }
     }
 }
 

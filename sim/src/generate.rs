@@ -2,7 +2,7 @@
 
 use parallax_runtime::graph::Graph;
 use parallax_runtime::random::derived;
-use parallax_runtime::recording::{Fault, Loss, RecordingSink, SinkError, StepView};
+use parallax_runtime::recording::{Change, Fault, Loss, RecordingSink, SinkError, StepView};
 use parallax_runtime::time::Nanos;
 use rayon::prelude::*;
 
@@ -81,6 +81,10 @@ impl RecordingSink for EpisodeSink<'_> {
     }
 
     fn fault(&mut self, _: &Fault) -> Result<(), SinkError> {
+        Ok(())
+    }
+
+    fn change(&mut self, _: &Change) -> Result<(), SinkError> {
         Ok(())
     }
 }

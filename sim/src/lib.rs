@@ -56,6 +56,7 @@
 
 pub mod augment;
 pub mod batch;
+mod changes;
 pub mod compiled;
 pub mod delays;
 pub mod episode;
@@ -66,6 +67,7 @@ mod replay;
 pub mod supergraph;
 mod trajectory;
 
+pub use changes::{ChangePlan, ChangesError};
 pub use episode::Episode;
 pub use executor::{ConnectionAccount, Executor, Outcome, SimError};
 pub use generate::{generate, generate_many};

@@ -4,9 +4,10 @@ use std::fmt;
 
 use parallax_runtime::graph::{Graph, GraphError};
 use parallax_runtime::node::{ErasedNode, InputWindow, NodeContext, NodeError, Step};
-use parallax_runtime::recording::{Fault, FaultKind, NodeTrack, Recording, StepRecord};
+use parallax_runtime::recording::{Change, Fault, FaultKind, NodeTrack, Recording, StepRecord};
 use parallax_runtime::registry::Registry;
 use parallax_runtime::schedule::{ScheduleCheck, verify};
+use parallax_runtime::tuning::{TuningError, apply};
 
 /// Builds a node in place of the one that the graph names; `None` leaves that node as it is.
 pub type Override = dyn Fn(&NodeContext) -> Option<Result<Box<dyn ErasedNode>, NodeError>>;
@@ -116,6 +117,14 @@ pub enum ReplayError {
         node: String,
         /// Why.
         source: NodeError,
+    },
+    /// A node does not take what was set in it while it was recorded.
+    #[error("before step {step}: {source}")]
+    Change {
+        /// The step.
+        step: u64,
+        /// Why.
+        source: TuningError,
     },
     /// A step that was recorded fails now.
     #[error("step {step} of node `{node}` fails in the replay, but did not in the recording: {source}")]
@@ -380,6 +389,9 @@ fn rerun(
                 .unwrap_or_else(|| plan.kind.build(&context))
                 .map_err(|source| ReplayError::Build { node: plan.name.clone(), source })?;
         }
+        let changes = changes_before(recording, &plan.name, step.seq);
+        apply(node.tuning(), &plan.name, &changes)
+            .map_err(|source| ReplayError::Change { step: step.seq, source })?;
         result.consumed += fill_windows(graph, tracks, index, step, &mut windows);
         let view = Step::new(step.seq, step.due, step.start, &windows);
         node.step_into(&view, &mut output).map_err(|source| ReplayError::Failed {
@@ -402,6 +414,12 @@ fn rerun(
         }
     }
     Ok(result)
+}
+
+/// What was set and reset in a node before one of its steps.
+pub(crate) fn changes_before(recording: &Recording, node: &str, step: u64) -> Vec<Change> {
+    let changes = recording.changes.iter().filter(|change| change.step == step && change.node == node);
+    changes.cloned().collect()
 }
 
 /// Windows for the inputs of a node, still empty.

@@ -4,8 +4,9 @@ use parallax_runtime::graph::Graph;
 use parallax_runtime::node::{ErasedNode, Step};
 use parallax_runtime::recording::{NodeTrack, Recording};
 use parallax_runtime::registry::Registry;
+use parallax_runtime::tuning::apply;
 
-use crate::replay::{ReplayError, empty_windows, fill_windows, tracks, usable_steps};
+use crate::replay::{ReplayError, changes_before, empty_windows, fill_windows, tracks, usable_steps};
 
 /// What one model node went through, step by step.
 #[derive(Debug, Clone, PartialEq)]
@@ -16,7 +17,7 @@ pub struct NodeTrajectory {
     pub node: usize,
     /// How many steps it made.
     pub steps: usize,
-    /// The leaves of its parameters.
+    /// The leaves of its parameters before the first step.
     pub params: Vec<f64>,
     /// The leaves of its state before every step, and after the last: `[steps + 1][leaf]`.
     pub states: Vec<f64>,
@@ -87,6 +88,9 @@ fn trajectory(
     let mut windows = empty_windows(graph, index);
     let mut output = tracks[index].initial.clone();
     for step in &tracks[index].steps[..usable] {
+        let changes = changes_before(recording, &plan.name, step.seq);
+        apply(node.tuning(), &plan.name, &changes)
+            .map_err(|source| ReplayError::Change { step: step.seq, source })?;
         fill_windows(graph, tracks, index, step, &mut windows);
         result.states.extend_from_slice(node.state());
         let view = Step::new(step.seq, step.due, step.start, &windows);

@@ -17,6 +17,7 @@ mod run;
 mod sim;
 mod supergraph;
 mod top;
+mod tune;
 mod withheld;
 
 use std::process::ExitCode;
@@ -57,6 +58,15 @@ enum Command {
     /// Watch a running graph: rates, lateness, delays, losses, as they are now.
     #[command(after_help = EXIT_CODES)]
     Top(top::Arguments),
+    /// Set parameters of a node of a running graph.
+    #[command(after_help = tune::SET_HELP)]
+    Set(tune::Set),
+    /// Read what can be set of a node of a running graph, and its state.
+    #[command(after_help = EXIT_CODES)]
+    Get(tune::Get),
+    /// Put the state of a node of a running graph back to what it was before its first step.
+    #[command(after_help = EXIT_CODES)]
+    Reset(tune::Reset),
     /// Run a graph under a simulated clock.
     #[command(after_help = EXIT_CODES)]
     Sim(sim::Arguments),
@@ -143,6 +153,9 @@ pub(crate) fn main() -> ExitCode {
         Command::Withheld(arguments) => withheld::run(&arguments),
         Command::WithheldTruth(arguments) => withheld::truth::run(&arguments),
         Command::WithheldPlay(arguments) => withheld::separate::run(&arguments),
+        Command::Set(arguments) => tune::set(&arguments),
+        Command::Get(arguments) => tune::get(&arguments),
+        Command::Reset(arguments) => tune::reset(&arguments),
         Command::Top(arguments) => top::run(&arguments),
         Command::Sim(arguments) => sim::run(&arguments),
         Command::Replay(arguments) => replay::run(&arguments),

@@ -1,14 +1,15 @@
 //! `parallax sim`: a graph under a simulated clock.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
+use anyhow::Context;
 use clap::Args;
 use indicatif::ProgressBar;
 use parallax_runtime::recording::{
-    Description, Fault, Loss, NoSink, RecordingSink, RecordingWriter, SinkError, StepView,
+    Change, Description, Fault, Loss, NoSink, Recording, RecordingSink, RecordingWriter, SinkError, StepView,
 };
 use parallax_runtime::time::{Nanos, to_seconds};
-use parallax_sim::{Executor, SimError};
+use parallax_sim::{ChangePlan, Executor, SimError};
 use serde_json::json;
 
 use super::args::{NodeChange, Play, duration, graph_spec, make_parent, validate};
@@ -37,6 +38,10 @@ pub(crate) struct Arguments {
     /// Let a node send what a command file says (CSV: time,NODE.LEAF), such as `parallax experiment` writes.
     #[arg(long, value_name = "NODE=FILE")]
     play: Vec<Play>,
+    /// Set parameters and reset states in the middle of the run: a plan (TOML: [[change]] node, step or time, set or reset),
+    /// or a recording whose changes are made again before the same steps.
+    #[arg(long = "changes", value_name = "FILE.toml|FILE.mcap")]
+    plan: Option<PathBuf>,
     /// Print JSON.
     #[arg(long)]
     json: bool,
@@ -47,6 +52,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     let mut executor = Executor::new(graph, arguments.seed);
     if let Some(factor) = arguments.real_time_factor {
         executor = executor.real_time_factor(factor);
+    }
+    if let Some(path) = &arguments.plan {
+        executor = executor.changes(plan(path)?);
     }
     let bar = output::progress("simulating", arguments.duration.unsigned_abs());
     let outcome = match &arguments.out {
@@ -65,6 +73,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     };
     bar.finish_and_clear();
 
+    if outcome.changes_left > 0 {
+        eprintln!("warning: {} changes are planned for steps that were never made", outcome.changes_left);
+    }
     let faults: Vec<String> = outcome.faults.iter().map(describe).collect();
     if arguments.json {
         let connections: Vec<_> = outcome
@@ -108,12 +119,25 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     }
 }
 
+/// What is to be changed, from a plan or from a recording.
+fn plan(path: &Path) -> Result<ChangePlan, Failure> {
+    if path.extension().is_some_and(|extension| extension == "mcap") {
+        return Ok(ChangePlan::from_recording(&Recording::read(path).input()?));
+    }
+    let text = std::fs::read_to_string(path)
+        .with_context(|| format!("--changes {} cannot be read", path.display()))
+        .map_err(Failure::input)?;
+    ChangePlan::from_toml(&path.display().to_string(), &text).input()
+}
+
 /// A node that cannot be built, or a duration that cannot be, comes from the input.
 fn sort(error: SimError) -> Failure {
     match error {
-        SimError::Build { .. } | SimError::RealTimeFactor { .. } | SimError::Duration { .. } => {
-            Failure::input(error)
-        }
+        SimError::Changes(_)
+        | SimError::Change { .. }
+        | SimError::Build { .. }
+        | SimError::RealTimeFactor { .. }
+        | SimError::Duration { .. } => Failure::input(error),
         _ => Failure::runtime(error),
     }
 }
@@ -157,5 +181,9 @@ impl<S: RecordingSink> RecordingSink for Watched<S> {
 
     fn fault(&mut self, fault: &Fault) -> Result<(), SinkError> {
         self.sink.fault(fault)
+    }
+
+    fn change(&mut self, change: &Change) -> Result<(), SinkError> {
+        self.sink.change(change)
     }
 }

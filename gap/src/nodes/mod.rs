@@ -12,6 +12,7 @@ use parallax_model::system::System;
 use parallax_runtime::node::{ErasedNode, NodeContext, NodeError, Step};
 use parallax_runtime::recording::{NodeTrack, Recording};
 use parallax_runtime::registry::{NodeKind, Registry};
+use parallax_runtime::tuning::Tuning;
 use parallax_sim::{Difference, ReplayError, ReplayOptions, replay};
 use serde::{Deserialize, Serialize};
 
@@ -160,6 +161,10 @@ impl ErasedNode for Listener {
             last.1.extend_from_slice(output);
         }
         Ok(())
+    }
+
+    fn tuning(&mut self) -> Option<&mut dyn Tuning> {
+        self.node.tuning()
     }
 }
 

@@ -11,6 +11,7 @@ use parallax_model::node_model::{NodeModel, NodeStep};
 use parallax_model::{Scalar, Tree};
 use parallax_runtime::node::Port;
 use parallax_runtime::registry::NodeKind;
+use parallax_runtime::tuning::Parameter;
 use rand::RngExt;
 use serde::Deserialize;
 
@@ -77,6 +78,9 @@ pub fn kind() -> NodeKind {
         Ok((Parameters { limit, excitation, balance_only, phase, model: Params::default() }, ()))
     })
     .input(ESTIMATOR)
+    .settable(Parameter::new("limit", "V").positive())
+    .settable(Parameter::new("excitation", "V").at_least(0.0))
+    .settable(Parameter::new("balance_only", "").at_least(0.0).at_most(1.0))
 }
 
 /// The sum of sines at a time, V.

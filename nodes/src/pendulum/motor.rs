@@ -4,6 +4,7 @@ use parallax_model::node_model::{NodeModel, NodeStep};
 use parallax_model::{Scalar, Tree};
 use parallax_runtime::node::Port;
 use parallax_runtime::registry::NodeKind;
+use parallax_runtime::tuning::Parameter;
 use serde::Deserialize;
 
 use super::messages::Voltage;
@@ -40,6 +41,7 @@ pub fn kind() -> NodeKind {
         Ok((parameters, ()))
     })
     .input(AGENT)
+    .settable(Parameter::new("rated", "V").positive())
 }
 
 impl NodeModel for Motor {

@@ -6,6 +6,7 @@ use parallax_model::node_model::{NodeModel, NodeStep};
 use parallax_model::{Scalar, Tree};
 use parallax_runtime::node::Port;
 use parallax_runtime::registry::NodeKind;
+use parallax_runtime::tuning::Parameter;
 use serde::Deserialize;
 
 use super::messages::{Motion, Reference};
@@ -52,6 +53,12 @@ pub fn kind() -> NodeKind {
         Ok((parameters, ()))
     })
     .input(MOCAP)
+    .settable(Parameter::new("radius", "m").at_least(0.0))
+    .settable(Parameter::new("turn", "s").positive())
+    .settable(Parameter::new("height", "m"))
+    .settable(Parameter::new("stiffness", "1/s^2"))
+    .settable(Parameter::new("damping", "1/s"))
+    .settable(Parameter::new("tilt", "rad").positive())
 }
 
 impl NodeModel for Agent {

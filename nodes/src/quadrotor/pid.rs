@@ -5,6 +5,7 @@ use parallax_model::node_model::{NodeModel, NodeStep};
 use parallax_model::{Scalar, Tree};
 use parallax_runtime::node::Port;
 use parallax_runtime::registry::NodeKind;
+use parallax_runtime::tuning::Parameter;
 use serde::Deserialize;
 
 use super::messages::{Command, Motion, Reference};
@@ -71,6 +72,10 @@ pub fn kind() -> NodeKind {
     })
     .input(MOCAP)
     .input(AGENT)
+    .settable(Parameter::new("proportional", "1/m"))
+    .settable(Parameter::new("integral", "1/(m s)"))
+    .settable(Parameter::new("derivative", "s/m"))
+    .settable(Parameter::new("hover", "").at_least(0.0).at_most(FULL))
 }
 
 impl NodeModel for HeightPid {

@@ -122,6 +122,22 @@ impl Space {
             .map_err(|source| ChannelError::Io { what: "cannot write", path, source })
     }
 
+    /// As [`write`](Self::write), in two steps: nobody ever reads half of it.
+    ///
+    /// # Errors
+    ///
+    /// [`ChannelError::Io`].
+    pub(crate) fn replace(&self, name: &str, contents: &[u8]) -> Result<(), ChannelError> {
+        let temporary = format!("{name}.new");
+        self.write(&temporary, contents)?;
+        let path = self.path.join(name);
+        fs::rename(self.path.join(temporary), &path).map_err(|source| ChannelError::Io {
+            what: "cannot write",
+            path,
+            source,
+        })
+    }
+
     /// Reads a file from the run's directory.
     ///
     /// # Errors

@@ -91,12 +91,9 @@ impl About {
     /// Writes it into the run's directory: from then on the run is found by others.
     pub(super) fn write(&self, space: &Space) -> Result<(), ChannelError> {
         let path = space.path().join(FILE);
-        let io = |source| ChannelError::Io { what: "cannot describe the run in", path: path.clone(), source };
+        let io = |source| ChannelError::Io { what: "cannot describe the run in", path, source };
         let text = serde_json::to_vec(self).map_err(|error| io(error.into()))?;
-        // In two steps: nobody reads half of it.
-        let temporary = format!("{FILE}.new");
-        space.write(&temporary, &text)?;
-        std::fs::rename(space.path().join(temporary), &path).map_err(io)
+        space.replace(FILE, &text)
     }
 
     /// Reads it from a run's directory.

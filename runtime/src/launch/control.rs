@@ -10,10 +10,14 @@ use std::os::unix::net::UnixStream;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use super::desk::{By, Told, Wish};
 use super::record::Ledger;
 use super::report::Exit;
 use crate::recording::{Clock, Fault};
 use crate::time::Nanos;
+
+/// Bytes of a line at most.
+const LONGEST: usize = 1 << 20;
 
 /// From the launcher to a node.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -25,6 +29,8 @@ pub(super) enum Order {
     Start { epoch: Nanos, resume: bool },
     /// The node of this name is gone, or hangs, before it sent message `next`; whether it may come back.
     SenderGone { node: String, next: u64, back: bool },
+    /// Somebody wishes something of the node; the answer has this number.
+    Tune { id: u64, by: By, wish: Wish },
     /// Finish the step and end.
     Stop,
     /// To the recorder: the run has this clock, begin to write.
@@ -51,6 +57,8 @@ pub(super) enum Answer {
     Failed { reason: String },
     /// The node takes up an earlier one's work with this step.
     Resumed { step: u64, shift: Nanos },
+    /// What became of a wish.
+    Tuned { id: u64, told: Result<Told, String> },
     /// The node has ended, after it did what it does at the end. What went wrong with that, and whether the run is to end
     /// with it whatever else holds.
     Done { exit: Exit, problem: Option<String>, ends_run: bool },
@@ -117,6 +125,11 @@ impl Line {
             Ok(count) => self.partial.extend_from_slice(&bytes[..count]),
             Err(e) if matches!(e.kind(), io::ErrorKind::Interrupted | io::ErrorKind::WouldBlock) => {}
             Err(_) => self.closed = true,
+        }
+        if self.partial.len() > LONGEST && !self.partial.contains(&b'\n') {
+            // Nobody of ours says so much at once.
+            self.closed = true;
+            self.partial.clear();
         }
         while let Some(end) = self.partial.iter().position(|byte| *byte == b'\n') {
             let line: Vec<u8> = self.partial.drain(..=end).collect();

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use super::RunOptions;
 use super::account;
 use super::control::{Answer, Order, readable};
+use super::door::{Door, Passed};
 use super::error::RunError;
 use super::event::{EventKind, Journal};
 use super::plan::{self, Settings};
@@ -20,6 +21,7 @@ use crate::channel::{Endpoint, Space};
 use crate::clock::{WallClock, monotonic};
 use crate::graph::{Graph, OnDeadSender};
 use crate::time::Nanos;
+use parallax_model::system::Suggestion;
 
 /// How long nodes that wait for a dead one may take to stop by themselves before they are told to.
 const SETTLING: Duration = Duration::from_millis(300);
@@ -83,6 +85,7 @@ pub(super) struct Crew<'a> {
     pub(super) members: Vec<Member>,
     pub(super) recorder: Option<Recorder<'a>>,
     pub(super) journal: Journal,
+    pub(super) door: Door,
     pub(super) patience: Duration,
     /// Processes that do nothing but stop the hardware of a node that died.
     pub(super) stopping: Vec<(usize, Worker)>,
@@ -114,7 +117,8 @@ impl<'a> Crew<'a> {
     ) -> Result<Self, RunError> {
         let journal = Journal { tell: options.events.take(), ..Journal::default() };
         let (patience, stopping) = (options.patience, Vec::new());
-        let mut crew = Self { site, members: Vec::new(), recorder, journal, patience, stopping };
+        let door = Door::open(site.space, site.graph.nodes().len())?;
+        let mut crew = Self { site, members: Vec::new(), recorder, journal, door, patience, stopping };
         for (node, vitals) in vitals.into_iter().enumerate() {
             crew.members.push(Member {
                 worker: (crew.site.hire)(node, false)?,
@@ -200,7 +204,7 @@ impl<'a> Crew<'a> {
     /// Waits until a node says something or dies, a signal comes, or the time is over.
     pub(super) fn pause(&self, time: Nanos) {
         let lines = self.members.iter().map(|member| &member.worker.line).filter(|line| !line.closed());
-        let lines: Vec<_> = lines.map(|line| line.fd()).collect();
+        let lines: Vec<_> = lines.map(|line| line.fd()).chain(self.door.descriptors()).collect();
         readable(&lines, ((time + 999_999) / 1_000_000).clamp(0, 1000) as i32);
     }
 
@@ -243,6 +247,7 @@ impl<'a> Crew<'a> {
                     return end;
                 }
             }
+            self.open_door();
             if let Some(recorder) = &mut self.recorder {
                 recorder.look(self.site.endpoint);
             }
@@ -254,6 +259,29 @@ impl<'a> Crew<'a> {
                 _ => None,
             });
             self.pause(tick.min(left).min(next.min().unwrap_or(tick)).max(1));
+        }
+    }
+
+    /// Passes on what somebody at the door wishes of a node.
+    fn open_door(&mut self) {
+        let Self { door, members, site, .. } = self;
+        let passed = door.hear(|name| {
+            let names = || site.graph.nodes().iter().map(|node| node.name.as_str());
+            let node = site.graph.index(name).ok_or_else(|| {
+                let suggestion = Suggestion::nearest(name, names());
+                let known = names().collect::<Vec<_>>().join(", ");
+                format!("the graph has no node `{name}`{suggestion} (it has: {known})")
+            })?;
+            match members[node].state {
+                State::Up => Ok(node),
+                State::Down(_) | State::Coming(_) => {
+                    Err(format!("node `{name}` is being started again; ask again in a moment"))
+                }
+                State::Over => Err(format!("node `{name}` has ended")),
+            }
+        });
+        for Passed { node, id, by, wish } in passed {
+            members[node].worker.order(&Order::Tune { id, by, wish });
         }
     }
 

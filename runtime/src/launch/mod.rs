@@ -32,6 +32,8 @@ mod account;
 mod control;
 mod cores;
 mod crew;
+mod desk;
+mod door;
 mod error;
 mod event;
 mod launcher;
@@ -59,6 +61,8 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 
 pub use about::Phase;
+pub use desk::Told;
+pub use door::{AskError, read_node, reset_state, set_parameters};
 pub use error::RunError;
 pub use event::{Event, EventKind, Watcher};
 pub use launcher::run;

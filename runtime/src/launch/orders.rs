@@ -1,5 +1,6 @@
 //! What others tell a running node, without a lock.
 
+use super::desk::Desk;
 use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
 
 /// What others tell a running node.
@@ -11,6 +12,8 @@ pub(super) struct Orders {
     /// News of each node of the graph, and whether there are any.
     news: Box<[News]>,
     any: AtomicBool,
+    /// What is to be set, read or reset between two steps.
+    pub(super) desk: Desk,
 }
 
 #[derive(Debug)]
@@ -35,6 +38,7 @@ impl Orders {
             launcher_gone: AtomicBool::new(false),
             news: (0..nodes).map(news).collect(),
             any: AtomicBool::new(false),
+            desk: Desk::new(),
         }
     }
 

@@ -55,6 +55,11 @@ pub(super) const INITIAL: u64 = u64::MAX;
 /// Kinds of records.
 pub(super) const STEP: u64 = 0;
 pub(super) const LOSS: u64 = 1;
+pub(super) const CHANGE: u64 = 2;
+/// Words of the record of a change: kind, number of the record, step, parameter, old value, time, new value, who.
+pub(super) const CHANGE_WORDS: usize = 8;
+/// In place of a parameter: the state was put back.
+pub(super) const RESET: u64 = u64::MAX;
 /// Words of the record of a loss: kind, number of the record, input, first, count, time, reason.
 pub(super) const LOSS_WORDS: usize = 7;
 
@@ -100,11 +105,16 @@ pub(super) fn records(graph: &Graph, node: usize) -> Topic {
     Topic {
         name: format!("{}/record", plan.name),
         layout: description.hash(),
-        words: (STEP_HEAD + words + layout.leaves.len()).max(LOSS_WORDS),
+        words: (STEP_HEAD + words + layout.leaves.len()).max(LOSS_WORDS.max(CHANGE_WORDS)),
         buffer: ((graph.spec().nodes[node].rate * RECORDER_SLACK) as usize).clamp(64, 32_768),
         subscribers: 1,
         held: 0,
     }
+}
+
+/// The file in the run's directory with the parameters of a node that may be set.
+pub(super) fn parameters_file(node: &str) -> String {
+    format!("{node}.parameters")
 }
 
 /// The name of a node's wake-up.

@@ -13,15 +13,21 @@ use serde::{Deserialize, Serialize};
 
 use super::Rotate;
 use super::control::{Answer, Line, Order};
+use super::desk::{self, By};
 use super::error::RunError;
-use super::plan::{self, CONSUMED, INITIAL, INPUT_HEAD, LOSS, LOSS_WORDS, STEP, STEP_HEAD, Settings};
+use super::plan::{
+    self, CHANGE, CHANGE_WORDS, CONSUMED, INITIAL, INPUT_HEAD, LOSS, LOSS_WORDS, RESET, STEP, STEP_HEAD,
+    Settings,
+};
 use crate::channel::{Endpoint, Space, Subscriber};
 use crate::graph::Graph;
 use crate::node::Consumed;
 use crate::recording::{
-    Clock, Description, Fault, InputRecord, Loss, RecordingError, RecordingWriter, StepRecord,
+    Change, ChangeKind, Clock, Description, Fault, InputRecord, Loss, RecordingError, RecordingWriter,
+    StepRecord,
 };
 use crate::time::Nanos;
+use crate::tuning::{Parameter, Setting};
 
 /// What the recorder is called among nodes, whose names are made of letters, digits and underscores.
 pub(super) const NAME: &str = "@recorder";
@@ -75,13 +81,10 @@ impl Ledger {
     }
 
     fn write(&self, space: &Space) {
-        // In two steps: whoever dies between them leaves the old one. A ledger that cannot be written costs the next
-        // recorder its counts, and this one nothing.
-        let temporary = format!("{LEDGER}.new");
         let Ok(bytes) = serde_json::to_vec(self) else { return };
-        if space.write(&temporary, &bytes).is_ok() {
-            let _ = std::fs::rename(space.path().join(&temporary), space.path().join(LEDGER));
-        }
+        // Whoever dies meanwhile leaves the old one. A ledger that cannot be written costs the next recorder its counts,
+        // and this one nothing.
+        let _ = space.replace(LEDGER, &bytes);
     }
 }
 
@@ -304,7 +307,7 @@ impl Scribe<'_> {
                 continue;
             };
             self.since[record.node] += 1;
-            if let Err(error) = write(self.graph, file, &record) {
+            if let Err(error) = write(self.graph, self.space, file, &record) {
                 self.fail(&error);
             }
         }
@@ -375,9 +378,7 @@ impl Scribe<'_> {
             while share > 0 {
                 let got = subscriber.receive(|words| {
                     let (number, time) = match *words {
-                        [LOSS, number, _, _, _, time, ..] | [STEP, number, _, _, _, time, ..] => {
-                            (number, time as Nanos)
-                        }
+                        [LOSS | STEP | CHANGE, number, _, _, _, time, ..] => (number, time as Nanos),
                         // Only our own nodes can write here, and both ends were checked to be of one layout.
                         _ => return,
                     };
@@ -396,8 +397,17 @@ impl Scribe<'_> {
     }
 }
 
-fn write(graph: &Graph, file: &mut RecordingWriter, record: &Taken) -> Result<(), RecordingError> {
+fn write(
+    graph: &Graph,
+    space: &Space,
+    file: &mut RecordingWriter,
+    record: &Taken,
+) -> Result<(), RecordingError> {
     let Taken { node, words, .. } = record;
+    if words[0] == CHANGE {
+        let Some(words) = words.get(..CHANGE_WORDS) else { return Ok(()) };
+        return file.change(&change(graph, space, *node, words));
+    }
     if words[0] == LOSS {
         let Some(words) = words.get(..LOSS_WORDS) else { return Ok(()) };
         return losses(graph, *node, words).try_for_each(|loss| file.loss(&loss));
@@ -423,6 +433,24 @@ fn losses<'a>(graph: &'a Graph, node: usize, words: &[u64]) -> impl Iterator<Ite
             reason,
         })
     })
+}
+
+/// What was set or reset.
+fn change(graph: &Graph, space: &Space, node: usize, words: &[u64]) -> Change {
+    let name = &graph.nodes()[node].name;
+    let kind = match words[3] {
+        RESET => ChangeKind::Reset,
+        parameter => {
+            // Seldom, and the node has written it down before its first step.
+            let file = space.read(&plan::parameters_file(name)).unwrap_or_default();
+            let parameters: Vec<Parameter> = serde_json::from_slice(&file).unwrap_or_default();
+            let parameter = usize::try_from(parameter).unwrap_or(usize::MAX);
+            let (old, new) = (f64::from_bits(words[4]), f64::from_bits(words[6]));
+            desk::describe(&parameters, &Setting { parameter, old, new })
+        }
+    };
+    let by = By::of_word(words[7]).text();
+    Change { node: name.clone(), step: words[2], time: words[5] as Nanos, by, kind }
 }
 
 /// A step and the payload that it sent.

@@ -1,6 +1,9 @@
 //! The way from a node to the recorder: its steps with their messages, and its losses.
 
-use super::plan::{self, CONSUMED, INITIAL, INPUT_HEAD, LOSS, LOSS_WORDS, STEP, STEP_HEAD};
+use super::desk::Errand;
+use super::plan::{
+    self, CHANGE, CHANGE_WORDS, CONSUMED, INITIAL, INPUT_HEAD, LOSS, LOSS_WORDS, RESET, STEP, STEP_HEAD,
+};
 use super::vitals::{Vital, Vitals};
 use crate::channel::{ChannelError, Endpoint, Publisher, Topic};
 use crate::recording::LossReason;
@@ -43,6 +46,29 @@ impl Records {
             code,
         ]);
         self.send(LOSS_WORDS, vitals)
+    }
+
+    /// Sends what was set or reset before step `step`.
+    pub(super) fn errand(
+        &mut self,
+        errand: &Errand,
+        step: u64,
+        time: Nanos,
+        vitals: &Vitals,
+    ) -> Result<(), ChannelError> {
+        if errand.is_refused() {
+            return Ok(());
+        }
+        let by = errand.by.word();
+        let mut put = |parameter, old: f64, new: f64| {
+            let words = [CHANGE, self.sent, step, parameter, old.to_bits(), time as u64, new.to_bits(), by];
+            self.words[..CHANGE_WORDS].copy_from_slice(&words);
+            self.send(CHANGE_WORDS, vitals)
+        };
+        if errand.is_reset() {
+            put(RESET, 0.0, 0.0)?;
+        }
+        errand.settings.iter().try_for_each(|setting| put(setting.parameter as u64, setting.old, setting.new))
     }
 
     /// Sends the record of a step: its number, when it was due, its start and its end.

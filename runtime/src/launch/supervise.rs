@@ -4,6 +4,7 @@ use std::time::{Duration, Instant};
 
 use super::control::{Answer, Order};
 use super::crew::{Crew, Member, State};
+use super::desk::By;
 use super::event::EventKind;
 use super::plan;
 use super::report::{End, Exit};
@@ -46,6 +47,7 @@ impl Crew<'_> {
             match answer {
                 Answer::Done { exit, problem, ends_run } => return Some((exit, problem, ends_run)),
                 Answer::Failed { reason } => return Some((Exit::Failed { reason }, None, false)),
+                Answer::Tuned { id, told } => self.door.answered(node, id, told),
                 _ => {}
             }
         }
@@ -58,6 +60,7 @@ impl Crew<'_> {
 
     /// A node has ended while the run goes on.
     fn ended(&mut self, node: usize, exit: Exit, ends_run: bool, clock: WallClock) -> Option<End> {
+        self.door.gone(node, &self.site.graph.nodes()[node].name);
         let member = &mut self.members[node];
         member.exit = Some(exit.clone());
         member.silent = None;
@@ -150,6 +153,11 @@ impl Crew<'_> {
                         failed = Some(Exit::Failed { reason: error.to_string() });
                         break;
                     }
+                    if let Some(wish) = self.door.again(node) {
+                        // SAFETY: geteuid takes no arguments, cannot fail and touches no memory of ours.
+                        let by = By { user: unsafe { libc::geteuid() }, process: 0 };
+                        self.members[node].worker.order(&Order::Tune { id: 0, by, wish });
+                    }
                     self.members[node].worker.order(&Order::Start { epoch: clock.epoch(), resume: true });
                     self.tell_absences(node);
                 }
@@ -163,6 +171,8 @@ impl Crew<'_> {
                     return None;
                 }
                 Answer::Failed { reason } => failed = Some(Exit::Failed { reason }),
+                // What was set again: nobody waits for the answer.
+                Answer::Tuned { .. } => {}
                 // Only a recorder says these.
                 Answer::Listening | Answer::Recorded { .. } => {}
                 Answer::Done { exit, .. } => failed = Some(exit),

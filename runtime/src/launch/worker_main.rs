@@ -11,6 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use super::control::{Answer, Line, Order, readable};
+use super::desk::{Face, Front};
 use super::error::RunError;
 use super::orders::Orders;
 use super::plan::{self, RUN_FILE, RunFile, Settings};
@@ -27,6 +28,8 @@ use crate::registry::Registry;
 
 /// The last argument of a process that stops its node and does nothing else.
 pub(super) const STOP_ONLY: &str = "--stop";
+/// Milliseconds between two looks whether a wish has come back from the node.
+const BACK: i32 = 2;
 /// How long a node may take to end when its launcher is gone.
 const GRACE: Duration = Duration::from_secs(1);
 
@@ -301,7 +304,12 @@ fn work(
     let mut refused: Vec<String> = pin(name, wishes).into_iter().collect();
     let space = Space::attach(run).map_err(|e| e.to_string())?;
     let endpoint = Endpoint::new(&space).map_err(|e| e.to_string())?;
-    let node = graph.build(index, settings.seed).map_err(|e| e.to_string())?;
+    let mut node = graph.build(index, settings.seed).map_err(|e| e.to_string())?;
+    let (orders, face) = (Orders::new(graph.nodes().len()), Face::of(&mut *node));
+    let mut front = Front::new(name, &face, &orders.desk);
+    // The recorder names by it what is set.
+    let parameters = serde_json::to_vec(&face.parameters).map_err(|e| e.to_string())?;
+    space.replace(&plan::parameters_file(name), &parameters).map_err(|e| e.to_string())?;
     let mut stepper =
         Stepper::open(graph, index, node, settings, &endpoint, run).map_err(|e| e.to_string())?;
     let wake = endpoint.waker(&plan::wake(graph, index)).map_err(|e| e.to_string())?;
@@ -322,6 +330,10 @@ fn work(
                     answers.send(&Answer::Resumed { step, shift });
                 }
                 break clock;
+            }
+            // What was set before a restart is set again before the first step.
+            Some(Some(Order::Tune { id, by, wish })) => {
+                front.take(id, by, &wish).iter().for_each(|answer| answers.send(answer));
             }
             // What is for a recorder is for nobody here.
             Some(
@@ -344,7 +356,7 @@ fn work(
             }
         }
     };
-    let (orders, finished) = (Orders::new(graph.nodes().len()), AtomicBool::new(false));
+    let finished = AtomicBool::new(false);
     // A line inside this process that closes when the loop is over: whoever waits for orders waits for that, too, without
     // looking for it now and then on a core that a node may need.
     let (over, closes) = UnixStream::pair().map_err(|e| format!("cannot make a socket: {e}"))?;
@@ -354,7 +366,7 @@ fn work(
             // Not on the node's core: a node that polls under a real-time policy would keep this thread from running.
             allow(&anywhere);
             let _raised = Raised::current(wishes.policy != Policy::Other);
-            follow(graph, queue, &orders, (&finished, &over), &wake, own);
+            follow(graph, queue, &orders, front, (&finished, &over), &wake, own);
         });
         // However the node ends, the thread beside it must end too.
         let _end = Raise(&finished, closes);
@@ -405,20 +417,27 @@ fn follow(
     graph: &Graph,
     queue: &mut Queue,
     orders: &Orders,
+    mut front: Front<'_>,
     (finished, over): (&AtomicBool, &UnixStream),
     wake: &Waker,
     own: Option<&Space>,
 ) {
     while !finished.load(Ordering::Acquire) {
         if queue.waiting.is_empty() {
-            readable(&[queue.line.fd(), over.as_raw_fd()], -1);
+            let patience = if front.busy() { BACK } else { -1 };
+            readable(&[queue.line.fd(), over.as_raw_fd()], patience);
         }
+        front.turn().iter().for_each(|answer| queue.line.send(answer));
         match queue.next(0) {
             Some(Some(Order::Stop)) => orders.stop.store(true, Ordering::Relaxed),
             Some(Some(Order::SenderGone { node, next, back })) => {
                 if let Some(node) = graph.index(&node) {
                     orders.gone(node, next, back);
                 }
+            }
+            Some(Some(Order::Tune { id, by, wish })) => {
+                front.take(id, by, &wish).iter().for_each(|answer| queue.line.send(answer));
+                continue;
             }
             Some(_) => continue,
             None => {

@@ -193,6 +193,7 @@ impl Log {
             nodes,
             losses: Vec::new(),
             faults: Vec::new(),
+            changes: Vec::new(),
             truncated: None,
         }
     }

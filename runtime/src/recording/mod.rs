@@ -40,6 +40,8 @@ pub struct Recording {
     pub losses: Vec<Loss>,
     /// Nodes that ended before the run did, and nodes that were started again.
     pub faults: Vec<Fault>,
+    /// What was set and reset from outside while the run went on, in the order in which the nodes saw it.
+    pub changes: Vec<Change>,
     /// When the file that it was read from lacks its end: where it stops. The recording is then only its beginning.
     pub truncated: Option<String>,
 }
@@ -243,6 +245,54 @@ pub enum FaultKind {
     },
 }
 
+/// Something that was set or reset in a node from outside, while it ran.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Change {
+    /// The node.
+    pub node: String,
+    /// The first step that saw it.
+    pub step: u64,
+    /// When it took effect.
+    pub time: Nanos,
+    /// Who wanted it.
+    pub by: String,
+    /// What was changed.
+    pub kind: ChangeKind,
+}
+
+/// What was changed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+pub enum ChangeKind {
+    /// A parameter got another value.
+    Set {
+        /// The parameter.
+        parameter: String,
+        /// Its unit; empty where it has none.
+        unit: String,
+        /// The value that it had.
+        old: f64,
+        /// The value that it got.
+        new: f64,
+    },
+    /// The node's state went back to what it was before its first step.
+    Reset,
+}
+
+impl std::fmt::Display for Change {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { node, step, by, kind, .. } = self;
+        match kind {
+            ChangeKind::Set { parameter, unit, old, new } => {
+                let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
+                write!(f, "{node}.{parameter} from {old} to {new}{unit}, from step {step} on, by {by}")
+            }
+            ChangeKind::Reset => write!(f, "{node} reset before step {step}, by {by}"),
+        }
+    }
+}
+
 /// A sink that could not take what it was given.
 #[derive(Debug, thiserror::Error)]
 #[error("the recording cannot be written: {0}")]
@@ -305,6 +355,13 @@ pub trait RecordingSink {
     ///
     /// When it cannot be kept.
     fn fault(&mut self, fault: &Fault) -> Result<(), SinkError>;
+
+    /// Something was set or reset in a node.
+    ///
+    /// # Errors
+    ///
+    /// When it cannot be kept.
+    fn change(&mut self, change: &Change) -> Result<(), SinkError>;
 }
 
 /// Keeps nothing.
@@ -322,6 +379,9 @@ impl RecordingSink for NoSink {
         Ok(())
     }
     fn fault(&mut self, _: &Fault) -> Result<(), SinkError> {
+        Ok(())
+    }
+    fn change(&mut self, _: &Change) -> Result<(), SinkError> {
         Ok(())
     }
 }
@@ -355,6 +415,7 @@ impl MemorySink {
                 nodes,
                 losses: Vec::new(),
                 faults: Vec::new(),
+                changes: Vec::new(),
                 truncated: None,
             },
         }
@@ -385,6 +446,11 @@ impl RecordingSink for MemorySink {
 
     fn fault(&mut self, fault: &Fault) -> Result<(), SinkError> {
         self.recording.faults.push(fault.clone());
+        Ok(())
+    }
+
+    fn change(&mut self, change: &Change) -> Result<(), SinkError> {
+        self.recording.changes.push(change.clone());
         Ok(())
     }
 }

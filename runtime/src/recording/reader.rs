@@ -205,6 +205,7 @@ impl<'a> Reader<'a> {
                 .collect(),
             losses: vec![],
             faults: vec![],
+            changes: vec![],
             truncated: None,
         });
         Ok(())
@@ -218,7 +219,7 @@ impl<'a> Reader<'a> {
             return Ok(());
         };
         let node = match content {
-            Content::Losses | Content::Faults => 0,
+            Content::Losses | Content::Faults | Content::Changes => 0,
             Content::Messages | Content::Steps => {
                 let name = channel.metadata.get(NODE).map_or("", String::as_str);
                 recording.nodes.iter().position(|track| track.name == name).ok_or_else(|| {
@@ -253,6 +254,7 @@ impl<'a> Reader<'a> {
             Content::Steps => recording.nodes[target.node].steps.push(step(data).map_err(fail)?),
             Content::Losses => recording.losses.push(note(data).map_err(fail)?),
             Content::Faults => recording.faults.push(note(data).map_err(fail)?),
+            Content::Changes => recording.changes.push(note(data).map_err(fail)?),
         }
         Ok(())
     }

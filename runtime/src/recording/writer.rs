@@ -14,7 +14,7 @@ use super::description::{DESCRIPTION, Description, DescriptionFile, FORMAT, Node
 use super::error::RecordingError;
 use super::ros2msg::{self, Schema};
 use super::{
-    Consumed, Fault, Loss, MessageRecord, NodeTrack, Recording, RecordingSink, SinkError, StepRecord,
+    Change, Consumed, Fault, Loss, MessageRecord, NodeTrack, Recording, RecordingSink, SinkError, StepRecord,
     StepView,
 };
 use crate::time::Nanos;
@@ -42,6 +42,7 @@ pub struct RecordingWriter {
     tracks: Vec<TrackChannels>,
     losses: u16,
     faults: u16,
+    changes: u16,
     notes: u32,
     origin: Nanos,
     /// Log time of the first message of the open chunk.
@@ -65,11 +66,12 @@ pub(super) enum Content {
     Steps,
     Losses,
     Faults,
+    Changes,
 }
 
 impl Content {
-    pub(super) const ALL: [Content; 4] =
-        [Content::Messages, Content::Steps, Content::Losses, Content::Faults];
+    pub(super) const ALL: [Content; 5] =
+        [Content::Messages, Content::Steps, Content::Losses, Content::Faults, Content::Changes];
 
     pub(super) fn name(self) -> &'static str {
         match self {
@@ -77,6 +79,7 @@ impl Content {
             Content::Steps => "steps",
             Content::Losses => "losses",
             Content::Faults => "faults",
+            Content::Changes => "changes",
         }
     }
 }
@@ -137,6 +140,7 @@ impl RecordingWriter {
         let note = ros2msg::note();
         let losses = channels.add("/parallax/losses", &note, Content::Losses, &[]).map_err(fail)?;
         let faults = channels.add("/parallax/faults", &note, Content::Faults, &[]).map_err(fail)?;
+        let changes = channels.add("/parallax/changes", &note, Content::Changes, &[]).map_err(fail)?;
         // The channels get a chunk of their own at the front: damage further on then leaves the rest readable.
         mcap.flush().map_err(fail)?;
         let cdr = CdrWriter::default();
@@ -147,6 +151,7 @@ impl RecordingWriter {
             tracks,
             losses,
             faults,
+            changes,
             notes: 0,
             origin,
             chunk_start: None,
@@ -245,6 +250,15 @@ impl RecordingWriter {
     /// As [`message`](RecordingWriter::message).
     pub fn fault(&mut self, fault: &Fault) -> Result<(), RecordingError> {
         self.note(self.faults, fault.time, fault)
+    }
+
+    /// Writes that something was set or reset.
+    ///
+    /// # Errors
+    ///
+    /// As [`message`](RecordingWriter::message).
+    pub fn change(&mut self, change: &Change) -> Result<(), RecordingError> {
+        self.note(self.changes, change.time, change)
     }
 
     fn note(&mut self, channel: u16, time: Nanos, note: &impl Serialize) -> Result<(), RecordingError> {
@@ -395,6 +409,10 @@ impl RecordingSink for RecordingWriter {
     fn fault(&mut self, fault: &Fault) -> Result<(), SinkError> {
         self.fault(fault).map_err(|e| SinkError(e.into()))
     }
+
+    fn change(&mut self, change: &Change) -> Result<(), SinkError> {
+        self.change(change).map_err(|e| SinkError(e.into()))
+    }
 }
 
 /// Writes a whole recording.
@@ -430,6 +448,7 @@ pub fn write(path: &Path, recording: &Recording) -> Result<(), RecordingError> {
     }
     recording.losses.iter().try_for_each(|loss| writer.loss(loss))?;
     recording.faults.iter().try_for_each(|fault| writer.fault(fault))?;
+    recording.changes.iter().try_for_each(|change| writer.change(change))?;
     writer.finish(recording.duration)
 }
 

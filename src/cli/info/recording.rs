@@ -73,13 +73,15 @@ pub(super) fn show(recording: &Recording, as_json: bool) -> Result<(), Failure> 
         recording.graph.connections.iter().map(|c| connection(recording, c)).collect();
     let signals = recording.log();
     let faults: Vec<String> = recording.faults.iter().map(describe).collect();
+    let changes: Vec<String> = recording.changes.iter().map(ToString::to_string).collect();
     if as_json {
         return output::json(&json!({
             "kind": "recording", "graph": recording.graph.name, "clock": recording.clock,
             "duration_s": to_seconds(recording.duration), "truncated": recording.truncated,
             "has_system": recording.graph.plant.is_some(), "nodes": nodes, "connections": connections,
             "signals": signals.signals.iter().map(log::describe).collect::<Vec<_>>(),
-            "losses": recording.losses.len(), "faults": faults, "notes": signals.notes,
+            "losses": recording.losses.len(), "faults": faults, "changes": recording.changes,
+            "notes": signals.notes,
         }));
     }
     let clock = match &recording.clock {
@@ -131,9 +133,10 @@ pub(super) fn show(recording: &Recording, as_json: bool) -> Result<(), Failure> 
         &rows,
     );
     log::signals(&signals);
-    for fault in faults {
-        output::line(fault);
-    }
+    faults
+        .into_iter()
+        .chain(changes.into_iter().map(|change| format!("changed: {change}")))
+        .for_each(output::line);
     Ok(())
 }
 

@@ -222,7 +222,12 @@ impl Stepper {
                     }
                     self.pause(end - now);
                 }
-                Wait::Until(time) if now >= time => self.step(clock, now, time)?,
+                Wait::Until(time) if now >= time => {
+                    if orders.desk.any() {
+                        self.attend(orders, now)?;
+                    }
+                    self.step(clock, now, time)?;
+                }
                 Wait::Until(time) => {
                     let left = time - now - self.settings.spin;
                     if left > 0 { self.pause(left) } else { std::hint::spin_loop() }
@@ -252,6 +257,16 @@ impl Stepper {
     /// Sleeps until a message comes, at most this long.
     fn pause(&self, time: Nanos) {
         self.listener.wait(Duration::from_nanos(time.clamp(0, PATIENCE) as u64));
+    }
+
+    /// Does what somebody wished to be set, read or reset before the next step.
+    fn attend(&mut self, orders: &Orders, now: Nanos) -> Result<(), StepError> {
+        let Self { node, inbox, records, vitals, .. } = self;
+        let step = inbox.gate().seq();
+        orders.desk.serve(&mut **node, step, now, |errand| match records {
+            Some(records) => Ok(records.errand(errand, step, now, vitals)?),
+            None => Ok(()),
+        })
     }
 
     /// Makes the next step, which begins now, at `start`, and could have begun at `earliest`.
