@@ -63,7 +63,7 @@ fn what_is_set_is_recorded_and_replayed() {
 
     for (wrong, says) in [
         ("motor.rated=0", "above 0"),
-        ("motor.rated=nan", "above 0"),
+        ("motor.rated=nan", "must be finite"),
         ("motor.rated=2 A", "in V, not in A"),
         ("motor.ratd=2", "did you mean `rated`"),
         ("mtor.rated=2", "did you mean `motor`"),

@@ -10,6 +10,7 @@ mod compiled;
 mod episodes;
 mod error;
 mod graph;
+mod live;
 mod program;
 mod recording;
 mod system;
@@ -27,6 +28,8 @@ mod _native {
     use crate::error::ParallaxError;
     #[pymodule_export]
     use crate::graph::{NativeGraph, graphs, kinds};
+    #[pymodule_export]
+    use crate::live::{read_node, reset_state, set_parameters};
     #[pymodule_export]
     use crate::program::{NativeProgram, models};
     #[pymodule_export]

@@ -196,3 +196,62 @@ fn nothing_stays_behind() {
     drop(space);
     assert_eq!(remains(&path, &prefix), Vec::<String>::new());
 }
+
+/// The place in this space's shared memory where these words lie, and the file that holds it.
+fn find_words(prefix: &str, wanted: &[u64]) -> (std::path::PathBuf, usize) {
+    let bytes: Vec<u8> = wanted.iter().flat_map(|word| word.to_ne_bytes()).collect();
+    for entry in std::fs::read_dir("/dev/shm").unwrap().flatten() {
+        if !entry.file_name().to_string_lossy().starts_with(prefix) {
+            continue;
+        }
+        let contents = std::fs::read(entry.path()).unwrap();
+        if let Some(at) = contents.windows(bytes.len()).position(|window| window == bytes) {
+            return (entry.path(), at);
+        }
+    }
+    panic!("the words are in no segment")
+}
+
+#[test]
+fn a_length_that_a_sender_makes_up_is_believed_by_nobody() {
+    use std::os::unix::fs::FileExt;
+    let space = Space::create().unwrap();
+    let here = Endpoint::new(&space).unwrap();
+    let service = here.create(&topic(4, 1)).unwrap();
+    let subscriber = here.open(&topic(4, 1)).unwrap().subscriber().unwrap();
+    let publisher = service.publisher().unwrap();
+    let marked = [0x1122_3344_5566_7788, 0x99aa_bbcc_ddee_ff00, 0x1357_9bdf_0246_8ace];
+    for length in [4, 1 << 20, 1 << 40, u64::MAX / 8, u64::MAX] {
+        publisher.send(3, |word| marked[word]).unwrap();
+        // Its length stands in the words before it; whoever may write there may write anything.
+        let (path, at) = find_words(space.prefix(), &marked);
+        let segment = std::fs::File::options().read(true).write(true).open(path).unwrap();
+        let word = |place: usize| {
+            let mut bytes = [0; 8];
+            segment.read_exact_at(&mut bytes, place as u64).unwrap();
+            u64::from_ne_bytes(bytes)
+        };
+        let place = (1..=8).map(|back| at - 8 * back).find(|place| word(*place) == 3);
+        let place = place.expect("the length lies before the words");
+        segment.write_all_at(&length.to_ne_bytes(), place as u64).unwrap();
+        let mut got = None;
+        assert!(subscriber.receive(|words| got = Some(words.len())).unwrap());
+        assert_eq!(got, Some(0), "a message that says it has {length} words");
+        // What it leaves behind harms nobody, and the next message is whole.
+        segment.write_all_at(&[0; 24], at as u64).unwrap();
+        publisher.send(2, |word| word as u64).unwrap();
+        let mut got = Vec::new();
+        assert!(subscriber.receive(|words| got.extend_from_slice(words)).unwrap());
+        assert_eq!(got, [0, 1]);
+    }
+}
+
+#[test]
+fn a_channel_has_one_sender() {
+    let space = Space::create().unwrap();
+    let (here, there) = (Endpoint::new(&space).unwrap(), Endpoint::new(&space).unwrap());
+    let publisher = here.create(&topic(4, 1)).unwrap().publisher().unwrap();
+    let error = there.open(&topic(4, 1)).unwrap().publisher().expect_err("there is one");
+    assert!(matches!(&error, ChannelError::Transport { topic, .. } if topic == "camera"), "{error}");
+    drop(publisher);
+}

@@ -113,7 +113,7 @@ impl ChangePlan {
             };
             let at = match (step, time) {
                 (Some(step), None) => At::Step(step),
-                (None, Some(time)) if time >= 0.0 && time < 9e9 => At::Time(from_seconds(time)),
+                (None, Some(time)) if (0.0..9e9).contains(&time) => At::Time(from_seconds(time)),
                 (None, Some(_)) => return wrong("`time` must be seconds, from 0 on"),
                 _ => return wrong("it needs either `step` or `time`"),
             };

@@ -373,7 +373,8 @@ impl<'a, S: RecordingSink> Run<'a, S> {
     fn change(&mut self, node: usize, now: Nanos) -> Result<(), SimError> {
         let state = &mut self.nodes[node];
         let step = state.inbox.gate().seq();
-        while let Some(planned) = state.planned.pop_front_if(|planned| planned.is_due(step, now)) {
+        while state.planned.front().is_some_and(|planned| planned.is_due(step, now)) {
+            let Some(planned) = state.planned.pop_front() else { break };
             let made = apply(state.node.tuning(), &planned.node, &planned.changes);
             for change in made.map_err(|source| SimError::Change { step, source })? {
                 self.sink.change(&Change { step, time: now, ..change })?;

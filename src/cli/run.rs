@@ -30,6 +30,9 @@ pub(crate) struct Arguments {
     /// Go on in a new file (run.1.mcap, run.2.mcap, ...) at a size or after a time, such as 500MB or 10min.
     #[arg(long, value_name = "SIZE|TIME", value_parser = rotate)]
     rotate: Option<Rotate>,
+    /// Let this group read the recording, by name or number; without it, only you may.
+    #[arg(long, value_name = "GROUP")]
+    group: Option<String>,
     /// Record to out/GRAPH/recording.mcap.
     #[arg(long, conflicts_with = "out")]
     record: bool,
@@ -151,6 +154,9 @@ fn launch_spec(arguments: &Arguments) -> Result<LaunchSpec, Failure> {
         Some(path) => LaunchSpec::read(&path).input()?,
         None => LaunchSpec::default(),
     };
+    if let Some(group) = &arguments.group {
+        launch.group = Some(group.clone());
+    }
     let mut changes = Vec::new();
     if arguments.threads {
         changes.push("defaults.run_as=thread".into());
@@ -203,9 +209,10 @@ fn tell(bar: &ProgressBar) -> launch::Watcher {
 /// What the graph says wrong is bad input; what goes wrong on this machine is not.
 pub(crate) fn sort(error: RunError) -> Failure {
     match error {
-        RunError::Graph(_) | RunError::Settings(_) | RunError::PrivateForNobody { .. } => {
-            Failure::input(error)
-        }
+        RunError::Graph(_)
+        | RunError::Settings(_)
+        | RunError::Group { .. }
+        | RunError::PrivateForNobody { .. } => Failure::input(error),
         _ => Failure::runtime(error),
     }
 }

@@ -2,7 +2,7 @@
 
 `load` reads a recording as numpy arrays; `System` turns a `system.toml`, and `models` the ready-made models, into JAX
 functions; `Graph` holds a graph, generates schedules for it and compiles it to pure functions that work under `jit`,
-`vmap`, `grad` and `scan`.
+`vmap`, `grad` and `scan`. `set_parameter` sets a parameter of a node that runs.
 
 Times are seconds since the run's start, in SI units throughout, unless a name ends in `_ns`.
 """
@@ -12,6 +12,7 @@ from .cache import use_compilation_cache
 from .compiled import CompiledGraph
 from .delays import TrainableDelay
 from .graph import Episodes, Graph
+from .live import NodeReading, node_reading, reset_state, set_parameter, set_parameters
 from .model import Model, models
 from .native_rollout import NativeRollout
 from .nodes import Message, ModelNode, Node, Port, Step, Window
@@ -32,6 +33,7 @@ __all__ = [
     "ModelNode",
     "NativeRollout",
     "Node",
+    "NodeReading",
     "NodeTrack",
     "Observation",
     "ParallaxError",
@@ -48,6 +50,10 @@ __all__ = [
     "__version__",
     "load",
     "models",
+    "node_reading",
+    "reset_state",
+    "set_parameter",
+    "set_parameters",
     "trajectories",
     "use_compilation_cache",
 ]

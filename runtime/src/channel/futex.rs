@@ -8,6 +8,7 @@ use std::path::Path;
 use std::ptr::NonNull;
 use std::sync::atomic::{AtomicU32, AtomicU64};
 
+use super::space::only_owner;
 use crate::time::{Nanos, SECOND};
 
 /// Bytes of a page.
@@ -37,6 +38,7 @@ impl SharedPage {
             .mode(0o600)
             .custom_flags(libc::O_NOFOLLOW)
             .open(path)?;
+        only_owner(&file, 0o600)?;
         if file.metadata()?.len() < PAGE as u64 {
             file.set_len(PAGE as u64)?;
         }

@@ -59,6 +59,19 @@ pub struct Loan<'a> {
 #[derive(Debug)]
 pub struct View {
     sample: iceoryx2::sample::Sample<Ipc, [u64], ()>,
+    /// Words that a message of its channel has at most.
+    limit: usize,
+}
+
+/// The words of a message. How many there are stands beside them in shared memory, where whoever sends can write: a number
+/// that cannot be right is taken for none.
+fn words(sample: &iceoryx2::sample::Sample<Ipc, [u64], ()>, limit: usize) -> &[u64] {
+    if sample.header().number_of_elements() > limit as u64 {
+        return &[];
+    }
+    let words = sample.payload();
+    // The number was read once more for this.
+    if words.len() > limit { &[] } else { words }
 }
 
 /// A transport error with the channel's name and what was tried.
@@ -266,7 +279,8 @@ impl Publisher {
 }
 
 impl Subscriber {
-    /// Hands the next waiting message to `take`, if there is one; says whether there was.
+    /// Hands the next waiting message to `take`, if there is one; says whether there was. One that says of itself that it is
+    /// longer than the channel allows is handed over without a word.
     ///
     /// # Errors
     ///
@@ -274,7 +288,7 @@ impl Subscriber {
     pub fn receive(&self, take: impl FnOnce(&[u64])) -> Result<bool, ChannelError> {
         match self.port.receive() {
             Ok(Some(sample)) => {
-                take(sample.payload());
+                take(words(&sample, self.topic.words));
                 Ok(true)
             }
             Ok(None) => Ok(false),
@@ -289,7 +303,7 @@ impl Subscriber {
     /// [`ChannelError::Transport`], also when too many views are kept.
     pub fn take(&self) -> Result<Option<View>, ChannelError> {
         let taken = self.port.receive().map_err(|e| failed(&self.topic.name, "receive")(&e))?;
-        Ok(taken.map(|sample| View { sample }))
+        Ok(taken.map(|sample| View { sample, limit: self.topic.words }))
     }
 
     /// What was agreed for this channel.
@@ -327,6 +341,6 @@ impl Deref for View {
     type Target = [u64];
 
     fn deref(&self) -> &[u64] {
-        self.sample.payload()
+        words(&self.sample, self.limit)
     }
 }

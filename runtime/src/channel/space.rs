@@ -3,14 +3,14 @@
 use std::fs::{self, DirBuilder, File, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
 use std::os::fd::AsRawFd;
-use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use iceoryx2::config::Config;
 use iceoryx2::prelude::SemanticString;
 
-use super::ChannelError;
+use super::{ChannelError, Endpoint};
 
 /// Where Linux keeps POSIX shared memory.
 const SHARED_MEMORY: &str = "/dev/shm";
@@ -56,6 +56,11 @@ impl Space {
                     return Err(ChannelError::Io { what: "cannot create", path: lock_path, source });
                 }
             };
+            only_owner(&lock, 0o600).map_err(|source| ChannelError::Io {
+                what: "cannot close to others",
+                path: lock_path.clone(),
+                source,
+            })?;
             lock.try_lock_shared().map_err(|e| ChannelError::Io {
                 what: "cannot lock",
                 path: lock_path.clone(),
@@ -67,8 +72,42 @@ impl Space {
             let path = base.join(&name);
             make_directory(&path)?;
             let prefix = prefix(&name);
-            return Ok(Self { path, prefix, lock, owner: true });
+            let space = Self { path, prefix, lock, owner: true };
+            space.take_the_counter(shared_memory)?;
+            return Ok(space);
         }
+    }
+
+    /// Makes the one segment of the transport that everybody on the machine may write to this user's alone: a count of its
+    /// participants, which it makes with the first of them and only opens from then on.
+    ///
+    /// It gets a new file, so that whoever has opened the first one in the moment in which that was possible has nothing.
+    fn take_the_counter(&self, shared_memory: &Path) -> Result<(), ChannelError> {
+        drop(Endpoint::new(self)?);
+        let io = |source| ChannelError::Io {
+            what: "cannot close to others what lies in",
+            path: shared_memory.into(),
+            source,
+        };
+        for entry in fs::read_dir(shared_memory).map_err(io)?.flatten() {
+            let name = entry.file_name();
+            if !name.to_string_lossy().starts_with(&self.prefix)
+                || entry.metadata().is_ok_and(|metadata| metadata.mode() & 0o077 == 0)
+            {
+                continue;
+            }
+            let mut closed = entry.path().into_os_string();
+            closed.push(".closed");
+            let contents = fs::read(entry.path()).map_err(io)?;
+            let file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(&closed);
+            file.and_then(|mut file| {
+                only_owner(&file, 0o600)?;
+                file.write_all(&contents)
+            })
+            .and_then(|()| fs::rename(&closed, entry.path()))
+            .map_err(io)?;
+        }
+        Ok(())
     }
 
     /// The space of a run that another process owns, at the path that the owner told.
@@ -118,7 +157,10 @@ impl Space {
             .truncate(true)
             .mode(0o600)
             .open(&path)
-            .and_then(|mut file| file.write_all(contents))
+            .and_then(|mut file| {
+                only_owner(&file, 0o600)?;
+                file.write_all(contents)
+            })
             .map_err(|source| ChannelError::Io { what: "cannot write", path, source })
     }
 
@@ -174,6 +216,7 @@ impl Space {
     ///
     /// [`ChannelError::Full`].
     pub(crate) fn commit(&self) -> Result<(), ChannelError> {
+        self.close_to_others()?;
         let shared_memory = Path::new(SHARED_MEMORY);
         let io = |source| ChannelError::Io { what: "cannot look into", path: shared_memory.into(), source };
         for entry in fs::read_dir(shared_memory).map_err(io)?.flatten() {
@@ -198,6 +241,36 @@ impl Space {
                     Some(libc::EOPNOTSUPP | libc::ENOSYS) => Ok(()),
                     _ => Err(io(error)),
                 };
+            }
+        }
+        Ok(())
+    }
+
+    /// Takes from everybody but this user what rights others have to anything in the run's directory: the transport makes
+    /// directories that a group may read.
+    ///
+    /// # Errors
+    ///
+    /// [`ChannelError::Io`].
+    pub(crate) fn close_to_others(&self) -> Result<(), ChannelError> {
+        let mut folders = vec![self.path.clone()];
+        while let Some(folder) = folders.pop() {
+            let io =
+                |source| ChannelError::Io { what: "cannot close to others", path: folder.clone(), source };
+            for entry in fs::read_dir(&folder).map_err(io)?.flatten() {
+                // What is gone by now needs nothing.
+                let Ok(metadata) = entry.metadata() else { continue };
+                let mode = metadata.mode() & 0o7777;
+                if mode & 0o077 != 0 && !metadata.is_symlink() {
+                    let closed = fs::Permissions::from_mode(mode & !0o077);
+                    match fs::set_permissions(entry.path(), closed) {
+                        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(io(error)),
+                        _ => {}
+                    }
+                }
+                if metadata.is_dir() {
+                    folders.push(entry.path());
+                }
             }
         }
         Ok(())
@@ -287,6 +360,7 @@ impl Guard {
             .mode(0o600)
             .open(&path)
             .map_err(io)?;
+        only_owner(&file, 0o600).map_err(io)?;
         file.lock().map_err(io)?;
         Ok(Self(file))
     }
@@ -327,7 +401,10 @@ fn base(shared_memory: &Path) -> Result<PathBuf, ChannelError> {
     let user = unsafe { libc::geteuid() };
     let base = shared_memory.join(format!("parallax-{user}"));
     match DirBuilder::new().mode(0o700).create(&base) {
-        Ok(()) => {}
+        // Whatever this process takes away from new files: the owner needs all of it.
+        Ok(()) => {
+            fs::set_permissions(&base, fs::Permissions::from_mode(0o700)).map_err(|e| none(e.to_string()))?
+        }
         Err(e) if e.kind() == io::ErrorKind::AlreadyExists => {
             // Shared memory is open to everybody: a directory that another user put here could be watched.
             let ours = fs::symlink_metadata(&base)
@@ -342,11 +419,17 @@ fn base(shared_memory: &Path) -> Result<PathBuf, ChannelError> {
 }
 
 fn make_directory(path: &Path) -> Result<(), ChannelError> {
-    DirBuilder::new().mode(0o700).create(path).map_err(|source| ChannelError::Io {
-        what: "cannot create",
-        path: path.into(),
-        source,
-    })
+    let made = DirBuilder::new().mode(0o700).create(path);
+    made.and_then(|()| fs::set_permissions(path, fs::Permissions::from_mode(0o700)))
+        .map_err(|source| ChannelError::Io { what: "cannot create", path: path.into(), source })
+}
+
+/// Gives a file that was just opened exactly this mode, whatever this process takes away from new files.
+pub(crate) fn only_owner(file: &File, mode: u32) -> io::Result<()> {
+    if file.metadata()?.mode() & 0o7777 == mode {
+        return Ok(());
+    }
+    file.set_permissions(fs::Permissions::from_mode(mode))
 }
 
 /// How a run's shared-memory files begin: they lie side by side in one flat directory.

@@ -21,9 +21,9 @@ fn report(graph: &Graph, members: &[Member], node: usize) -> NodeReport {
         (0..plan.inputs.len()).map(|input| input_report(graph, members, node, input)).collect();
     let mut lost: Vec<(String, u64)> = Vec::new();
     for input in &inputs {
-        let count: u64 = input.lost.iter().map(|(_, count)| count).sum();
+        let count = input.lost.iter().fold(0, |sum: u64, (_, count)| sum.saturating_add(*count));
         match lost.iter_mut().find(|(from, _)| *from == input.from) {
-            Some((_, total)) => *total += count,
+            Some((_, total)) => *total = total.saturating_add(count),
             None if count > 0 => lost.push((input.from.clone(), count)),
             None => {}
         }
@@ -68,12 +68,15 @@ fn input_report(graph: &Graph, members: &[Member], node: usize, input: usize) ->
         .collect();
     // What is malformed may be anything, but no message that was sent to this input.
     let of_sent = lost.iter().filter(|(reason, _)| *reason != LossReason::Malformed);
-    let rest = sent.saturating_sub(consumed + superseded + of_sent.map(|(_, count)| count).sum::<u64>());
+    // The numbers are what the node has written: their sum need not fit.
+    let accounted =
+        of_sent.fold(consumed.saturating_add(superseded), |sum, (_, count)| sum.saturating_add(*count));
+    let rest = sent.saturating_sub(accounted);
     // What is under way to a node that ended for good will not arrive.
     let gone = !matches!(members[node].exit, Some(Exit::Clean) | None);
     if gone && rest > 0 {
         match lost.iter_mut().find(|(reason, _)| *reason == LossReason::ReceiverDown) {
-            Some((_, count)) => *count += rest,
+            Some((_, count)) => *count = count.saturating_add(rest),
             None => lost.push((LossReason::ReceiverDown, rest)),
         }
     }

@@ -16,7 +16,7 @@ use super::control::Line;
 use super::desk::{By, Told, Wish};
 use super::live::{LiveError, find};
 use crate::channel::{ChannelError, Space};
-use crate::tuning::Assignment;
+use crate::tuning::{Assignment, TuningError};
 
 /// The socket in the run's directory.
 const SOCKET: &str = "door-of-run.socket";
@@ -251,6 +251,12 @@ pub fn set_parameters(
     assignments: &[Assignment],
     patience: Duration,
 ) -> Result<Told, AskError> {
+    if let Some(Assignment { parameter, value, .. }) = assignments.iter().find(|a| !a.value.is_finite()) {
+        let range = "finite".into();
+        let error =
+            TuningError::Range { node: node.into(), parameter: parameter.clone(), value: *value, range };
+        return Err(AskError::Refused { reason: error.to_string() });
+    }
     ask(run, node, Wish::Set(assignments.to_vec()), patience)
 }
 

@@ -27,6 +27,14 @@ pub enum RunError {
         /// What was refused, and what to do about it.
         refused: Vec<String>,
     },
+    /// The recording cannot be shared with this group.
+    #[error("the recording cannot be shared with the group {group}: {source}")]
+    Group {
+        /// The group.
+        group: String,
+        /// Why.
+        source: io::Error,
+    },
     /// Shared memory or a channel in it does not work.
     #[error(transparent)]
     Channel(#[from] ChannelError),

@@ -20,7 +20,7 @@ use super::{RunOptions, Warner, cores, worker_main};
 use crate::channel::{Endpoint, Service, Space};
 use crate::clock::{WallClock, monotonic};
 use crate::graph::{Graph, GraphSpec};
-use crate::recording::{Clock, RecordingError};
+use crate::recording::{Access, Clock, RecordingError};
 use crate::registry::Registry;
 use crate::time::Nanos;
 
@@ -127,7 +127,10 @@ fn recording_plan(options: &RunOptions) -> Result<Option<RecordingPlan>, RunErro
     let Some(path) = &options.recording else { return Ok(None) };
     let create = |source| RecordingError::Io { path: path.clone(), what: "find the folder of", source };
     let absolute = std::path::absolute(path).map_err(create)?;
-    Ok(Some(RecordingPlan { path: absolute, rotate: options.rotate }))
+    let access = options.launch.group.as_ref().map_or(Ok(Access::Owner), |group| {
+        Access::group(group).map_err(|source| RunError::Group { group: group.clone(), source })
+    })?;
+    Ok(Some(RecordingPlan { path: absolute, rotate: options.rotate, access }))
 }
 
 /// Says why a node made no step, as far as that is known.

@@ -9,7 +9,7 @@ use super::settings::NodeSettings;
 use crate::channel::Topic;
 use crate::graph::{Graph, GraphSpec};
 use crate::node::Layout;
-use crate::recording::LossReason;
+use crate::recording::{Access, LossReason};
 use crate::time::Nanos;
 
 /// The file in the run's directory that holds a [`RunFile`].
@@ -40,6 +40,7 @@ pub(super) struct Settings {
 pub(super) struct RecordingPlan {
     pub(super) path: PathBuf,
     pub(super) rotate: Option<Rotate>,
+    pub(super) access: Access,
 }
 
 /// Words before the payload of a message: its number and the time it was sent.

@@ -23,8 +23,8 @@ use crate::channel::{Endpoint, Space, Subscriber};
 use crate::graph::Graph;
 use crate::node::Consumed;
 use crate::recording::{
-    Change, ChangeKind, Clock, Description, Fault, InputRecord, Loss, RecordingError, RecordingWriter,
-    StepRecord,
+    Access, Change, ChangeKind, Clock, Description, Fault, InputRecord, Loss, RecordingError,
+    RecordingWriter, StepRecord,
 };
 use crate::time::Nanos;
 use crate::tuning::{Parameter, Setting};
@@ -116,6 +116,7 @@ pub(super) fn serve(graph: &Graph, settings: &Settings, space: &Space, stream: U
         graph,
         space,
         path: &recording.path,
+        access: recording.access,
         rotate: recording.rotate,
         since: vec![0; ledger.next.len()],
         ledger,
@@ -211,6 +212,7 @@ struct Scribe<'a> {
     graph: &'a Graph,
     space: &'a Space,
     path: &'a Path,
+    access: Access,
     rotate: Option<Rotate>,
     ledger: Ledger,
     streams: Vec<Stream>,
@@ -255,7 +257,7 @@ impl Scribe<'_> {
     fn open_next(&mut self) {
         let Some(clock) = self.clock.clone() else { return };
         let path = self.part(self.ledger.files.len());
-        match RecordingWriter::create(&path, &Description::new(self.graph, clock)) {
+        match RecordingWriter::create_for(&path, &Description::new(self.graph, clock), self.access) {
             Ok(writer) => {
                 self.target = Target::File(Box::new(writer), Instant::now());
                 if self.ledger.files.last() != Some(&path) {
@@ -307,8 +309,15 @@ impl Scribe<'_> {
                 continue;
             };
             self.since[record.node] += 1;
-            if let Err(error) = write(self.graph, self.space, file, &record) {
-                self.fail(&error);
+            match write(self.graph, self.space, file, &record) {
+                Ok(()) => {}
+                // What no file can hold is the fault of the node that sent it.
+                Err(error @ RecordingError::Unwritable { .. }) => {
+                    self.since[record.node] -= 1;
+                    self.ledger.unwritten[record.node] += 1;
+                    self.ledger.problem = Some(error.to_string());
+                }
+                Err(error) => self.fail(&error),
             }
         }
         self.taken = taken;
@@ -382,7 +391,7 @@ impl Scribe<'_> {
                         // Only our own nodes can write here, and both ends were checked to be of one layout.
                         _ => return,
                     };
-                    lost[node] += number.saturating_sub(next[node]);
+                    lost[node] = lost[node].saturating_add(number.saturating_sub(next[node]));
                     next[node] = number.saturating_add(1);
                     share = share.saturating_sub(words.len());
                     room = room.saturating_sub(words.len());

@@ -3,6 +3,7 @@
 use std::cell::RefCell;
 use std::fs::OpenOptions;
 use std::io;
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -16,7 +17,7 @@ use super::settings::RunAs;
 use super::worker::Worker;
 use crate::channel::{Endpoint, Space};
 use crate::graph::Graph;
-use crate::recording::{Clock, Fault, RecordingError};
+use crate::recording::{Access, Clock, Fault, RecordingError};
 use crate::time::Nanos;
 
 /// How long a recorder that died is left alone, at first; twice as long each time.
@@ -71,7 +72,17 @@ impl<'a> Recorder<'a> {
         // Found out now, and not when the run is over. An older recording stays until the new one begins.
         let existed = path.exists();
         let create = |source| RecordingError::Io { path: path.into(), what: "create the file", source };
-        drop(OpenOptions::new().write(true).create(true).truncate(false).open(path).map_err(create)?);
+        let open = OpenOptions::new().write(true).create(true).truncate(false).mode(Access::NEW).open(path);
+        let access = settings.recorder.as_ref().map_or(Access::Owner, |recording| recording.access);
+        let given = open.map_err(create).and_then(|file| {
+            let what = "set who may read";
+            access.give(&file).map_err(|source| RecordingError::Io { path: path.into(), what, source })
+        });
+        if given.is_err() && !existed {
+            // It is empty, and nobody is to take it for a recording.
+            let _ = std::fs::remove_file(path);
+        }
+        given?;
         // Where no node is a process, this program need not know how to be one.
         let processes = settings.nodes.iter().any(|node| node.run_as == RunAs::Process);
         let command = command.to_vec();

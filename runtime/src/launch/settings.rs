@@ -37,6 +37,9 @@ pub struct LaunchSpec {
     /// What to do when the system refuses a setting.
     #[serde(default)]
     pub refused: Refused,
+    /// The group that may read the recordings, by name or number; without one, their owner alone may.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub group: Option<String>,
     /// What holds for every node that says nothing else.
     #[serde(default)]
     pub defaults: NodeLaunch,

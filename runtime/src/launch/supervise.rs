@@ -201,7 +201,7 @@ impl Crew<'_> {
         if condemned.is_some() || beat == 0 {
             return None;
         }
-        if now - beat > settings.heartbeat {
+        if now.saturating_sub(beat) > settings.heartbeat {
             if silent.is_some() {
                 return None;
             }
@@ -209,24 +209,25 @@ impl Crew<'_> {
             *hangs += 1;
             let reaction = settings.on_hang;
             if reaction != OnHang::Warn {
-                *condemned = Some(now - beat);
+                *condemned = Some(now.saturating_sub(beat));
                 worker.kill();
             }
             let ends_run = reaction == OnHang::Stop;
-            let kind = EventKind::Hangs { silent: now - beat, step: (stepping > 0).then_some(step) };
+            let kind =
+                EventKind::Hangs { silent: now.saturating_sub(beat), step: (stepping > 0).then_some(step) };
             self.note(clock, node, kind);
             self.tell_gone(node, true);
             if ends_run {
-                return self.ended(node, Exit::Hung { silent: now - beat }, true, clock);
+                return self.ended(node, Exit::Hung { silent: now.saturating_sub(beat) }, true, clock);
             }
             return None;
         }
         if let Some(since) = silent.take() {
-            self.note(clock, node, EventKind::Returns { silent: beat - since });
+            self.note(clock, node, EventKind::Returns { silent: beat.saturating_sub(since) });
             return None;
         }
         let deadline = settings.deadline?;
-        if stepping > 0 && now - stepping > deadline && told.overdue != step + 1 {
+        if stepping > 0 && now.saturating_sub(stepping) > deadline && told.overdue != step + 1 {
             told.overdue = step + 1;
             match settings.on_deadline {
                 OnDeadline::Count => {}
@@ -237,7 +238,7 @@ impl Crew<'_> {
                 }
                 OnDeadline::Stop => {
                     self.members[node].worker.kill();
-                    let took = (now - stepping) as f64 / 1e6;
+                    let took = now.saturating_sub(stepping) as f64 / 1e6;
                     let reason = format!(
                         "step {step} had taken {took:.3} ms, beyond its deadline, and was still running"
                     );

@@ -196,7 +196,7 @@ impl Vitals {
 #[inline]
 fn add(cell: &AtomicU64, count: u64) {
     // One writer: no other addition can come between.
-    cell.store(cell.load(Relaxed) + count, Release);
+    cell.store(cell.load(Relaxed).wrapping_add(count), Release);
 }
 
 /// Durations, counted in a page.

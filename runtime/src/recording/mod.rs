@@ -3,6 +3,7 @@
 //! A [`Recording`] holds a run in memory. Executors write through a [`RecordingSink`], which is a recording being made
 //! ([`MemorySink`]) or a file being written.
 
+mod access;
 pub mod cdr;
 mod container;
 mod convert;
@@ -20,6 +21,7 @@ use crate::node::{InputWindow, Layout};
 use crate::time::Nanos;
 
 pub use crate::node::Consumed;
+pub use access::Access;
 pub use convert::IMPORTED_SIGNAL;
 pub use description::{Description, NodeDescription};
 pub use error::RecordingError;

@@ -1,8 +1,9 @@
 //! Writes a recording while it happens.
 
 use std::collections::BTreeMap;
-use std::fs::File;
+use std::fs::{File, OpenOptions};
 use std::io::BufWriter;
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 use mcap::records::MessageHeader;
@@ -14,8 +15,8 @@ use super::description::{DESCRIPTION, Description, DescriptionFile, FORMAT, Node
 use super::error::RecordingError;
 use super::ros2msg::{self, Schema};
 use super::{
-    Change, Consumed, Fault, Loss, MessageRecord, NodeTrack, Recording, RecordingSink, SinkError, StepRecord,
-    StepView,
+    Access, Change, Consumed, Fault, Loss, MessageRecord, NodeTrack, Recording, RecordingSink, SinkError,
+    StepRecord, StepView,
 };
 use crate::time::Nanos;
 
@@ -85,19 +86,44 @@ impl Content {
 }
 
 impl RecordingWriter {
-    /// Begins a recording; a file at this path is replaced.
+    /// Begins a recording, which its owner alone may read; a file at this path is replaced.
     ///
     /// # Errors
     ///
     /// [`RecordingError::Io`] when the file cannot be made.
     pub fn create(path: &Path, description: &Description) -> Result<Self, RecordingError> {
-        Self::with_origin(path, description, 0)
+        Self::create_for(path, description, Access::Owner)
     }
 
-    fn with_origin(path: &Path, description: &Description, origin: Nanos) -> Result<Self, RecordingError> {
+    /// As [`create`](Self::create), for others, too.
+    ///
+    /// # Errors
+    ///
+    /// [`RecordingError::Io`] when the file cannot be made, or given to the group.
+    pub fn create_for(
+        path: &Path,
+        description: &Description,
+        access: Access,
+    ) -> Result<Self, RecordingError> {
+        Self::with_origin(path, description, 0, access)
+    }
+
+    fn with_origin(
+        path: &Path,
+        description: &Description,
+        origin: Nanos,
+        access: Access,
+    ) -> Result<Self, RecordingError> {
         let io = |source| RecordingError::Io { path: path.into(), what: "create the file", source };
         let fail = |source| RecordingError::Write { path: path.into(), source };
-        let file = BufWriter::with_capacity(CHUNK_BYTES as usize, File::create(path).map_err(io)?);
+        let open = OpenOptions::new().write(true).create(true).truncate(true).mode(Access::NEW).open(path);
+        let file = open.map_err(io)?;
+        access.give(&file).map_err(|source| RecordingError::Io {
+            path: path.into(),
+            what: "set who may read",
+            source,
+        })?;
+        let file = BufWriter::with_capacity(CHUNK_BYTES as usize, file);
         let mut mcap = WriteOptions::new()
             .compression(None)
             .profile("ros2")
@@ -437,7 +463,7 @@ pub fn write(path: &Path, recording: &Recording) -> Result<(), RecordingError> {
     };
     let records = in_order(&recording.nodes);
     let origin = records.iter().map(|record| record.time).min().unwrap_or(0).min(0);
-    let mut writer = RecordingWriter::with_origin(path, &description, origin)?;
+    let mut writer = RecordingWriter::with_origin(path, &description, origin, Access::Owner)?;
     for Timed { node, record, .. } in records {
         match record {
             Record::Message(MessageRecord { seq, sent, payload }) => {

@@ -15,6 +15,7 @@ mod resources;
 mod runs;
 mod safety;
 mod settings;
+mod strangers;
 mod wall;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -43,6 +44,9 @@ fn main() -> ExitCode {
     if first.as_deref() == Some(resources::SMALL_COMMAND) {
         return resources::in_small_memory();
     }
+    if first.as_deref() == Some(strangers::STRANGER_COMMAND) {
+        return strangers::stranger(arguments);
+    }
     if first.as_deref() == Some(wall::COMMAND) {
         return wall::jumping(arguments);
     }
@@ -55,6 +59,7 @@ fn main() -> ExitCode {
         resources::TESTS,
         recorder::TESTS,
         safety::TESTS,
+        strangers::TESTS,
         wall::TESTS,
         allocation::TESTS,
     ]

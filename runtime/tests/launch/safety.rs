@@ -202,6 +202,7 @@ fn what_a_crash_of_everybody_leaves_is_removed() {
     nodes.iter().for_each(|node| signal(*node, libc::SIGKILL));
     signal(launcher.id(), libc::SIGKILL);
     launcher.wait().unwrap();
+    until("the nodes end", || !nodes.iter().any(|node| alive(*node)));
     assert!(!remains(launcher.id()).is_empty(), "there is nobody who could have removed it");
     let (_folder, log) = logged();
     observe(&graph(&log, "counter", "", 0), 0.1, "");
