@@ -344,7 +344,8 @@ impl<'a> Crew<'a> {
     fn allowed(&self, member: &Member) -> Duration {
         let heartbeat = member.settings.heartbeat;
         let beat = member.vitals.get(Vital::Beat) as Nanos;
-        let hangs_in_step = member.vitals.get(Vital::Stepping) > 0 && monotonic() - beat > heartbeat;
+        let hangs_in_step =
+            member.vitals.get(Vital::Stepping) > 0 && monotonic().saturating_sub(beat) > heartbeat;
         match member.silent {
             _ if hangs_in_step => Duration::ZERO,
             Some(_) => self.patience.min(Duration::from_nanos(heartbeat.max(0) as u64)),
@@ -388,7 +389,7 @@ impl<'a> Crew<'a> {
             let in_time = member.worker.join(patience);
             if member.exit.is_none() || member.state == State::Up {
                 let status = if in_time { "ended without a report" } else { "did not stop and was killed" };
-                let silent = member.silent.map(|since| clock.epoch() + clock.now() - since);
+                let silent = member.silent.map(|since| monotonic().saturating_sub(since));
                 member.exit = Some(match silent {
                     Some(silent) => Exit::Hung { silent },
                     None => Exit::Died { pid: member.worker.pid(), status: status.into() },

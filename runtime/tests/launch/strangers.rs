@@ -2,7 +2,7 @@
 //! do, they cannot.
 
 use std::collections::BTreeSet;
-use std::os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt};
+use std::os::unix::fs::{FileExt, FileTypeExt, MetadataExt, PermissionsExt};
 use std::os::unix::net::UnixStream;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ use std::process::{Command, ExitCode};
 use std::sync::{Arc, Mutex};
 
 use parallax_runtime::channel::{ChannelError, Endpoint, Space, Topic};
-use parallax_runtime::launch::{LaunchSpec, Mode, RunError, RunOptions, RunReport, run};
+use parallax_runtime::launch::{End, Exit, LaunchSpec, Mode, RunError, RunOptions, RunReport, run};
 use parallax_runtime::node::Layout;
 use parallax_runtime::recording::Recording;
 
@@ -22,6 +22,7 @@ pub(crate) const TESTS: &[Test] = &[
     ("others_find_everything_closed", others_find_everything_closed),
     ("a_group_gets_the_recording_and_nothing_else", a_group_gets_the_recording),
     ("a_second_publisher_is_refused", a_second_publisher_is_refused),
+    ("made_up_lengths_and_counts_end_nobody", made_up_lengths_and_counts_end_nobody),
 ];
 
 /// The argument under which this program is somebody else.
@@ -232,4 +233,58 @@ fn a_second_publisher_is_refused() {
     assert!(matches!(&errors[0], ChannelError::Transport { topic, .. } if topic == "counter"), "{errors:?}");
     assert!(matches!(&errors[1], ChannelError::Layout { topic, .. } if topic == "counter"), "{errors:?}");
     assert!(report.clean(), "{report:#?}");
+}
+
+/// A program of the same user writes into the messages and the pages of a running graph: lengths, numbers, times, counts.
+fn made_up_lengths_and_counts_end_nobody() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    let (report, made_up) = looked_at(&path, LaunchSpec::default(), Mode::Processes, |run| {
+        let prefix = format!("plx{}_{}_", user(), run.file_name().unwrap().to_string_lossy());
+        let segments = std::fs::read_dir("/dev/shm").unwrap().flatten().filter(|entry| {
+            let name = entry.file_name();
+            let name = name.to_string_lossy();
+            name.starts_with(&prefix) && name.ends_with(".data")
+        });
+        let open = |path: &Path| std::fs::File::options().read(true).write(true).open(path).unwrap();
+        let segments: Vec<std::fs::File> = segments.map(|entry| open(&entry.path())).collect();
+        let pages =
+            ["counter.vitals", "counter.inputs0", "adder.inputs0", "adder.delay0", "counter.lateness"];
+        let pages: Vec<std::fs::File> =
+            pages.iter().filter(|name| run.join(name).exists()).map(|name| open(&run.join(name))).collect();
+        assert!(segments.len() >= 4 && pages.len() >= 4, "{segments:?} {pages:?}");
+        let wild = [u64::MAX, u64::MAX / 8, 1 << 40, 1 << 62, 1 << 63, 4, 5];
+        let (mut made_up, start) = (0, std::time::Instant::now());
+        while start.elapsed() < std::time::Duration::from_millis(400) {
+            for segment in &segments {
+                let length = segment.metadata().unwrap().len() as usize;
+                let mut bytes = vec![0; length];
+                segment.read_exact_at(&mut bytes, 0).unwrap();
+                let words: Vec<u64> =
+                    bytes.chunks_exact(8).map(|word| u64::from_ne_bytes(word.try_into().unwrap())).collect();
+                // A message: its length, 0, its number, and when it was sent.
+                for (at, message) in words.windows(4).enumerate() {
+                    if message[0] == 3 && message[1] == 0 && message[2] < 10_000 && message[3] > 0 {
+                        let word = wild[made_up % wild.len()].to_ne_bytes();
+                        // Its length, its number or its time.
+                        let place = at + [0, 2, 3, 0, 0][made_up % 5];
+                        segment.write_all_at(&word, place as u64 * 8).unwrap();
+                        made_up += 1;
+                    }
+                }
+            }
+            for (number, page) in pages.iter().enumerate() {
+                let cell = (made_up * 7 + number) % 14;
+                page.write_all_at(&wild[made_up % wild.len()].to_ne_bytes(), cell as u64 * 8).unwrap();
+            }
+        }
+        made_up
+    });
+    // What it says of the messages may be anything; everybody is there until the end, and says so.
+    assert!(made_up > 50, "{made_up}");
+    assert!(report.nodes.iter().all(|node| node.exit == Exit::Clean), "{report:#?}");
+    assert_eq!(report.end, End::Signal);
+    let recording = Recording::read(&path).unwrap();
+    assert_eq!(recording.truncated, None);
+    assert!(recording.nodes.iter().all(|track| track.steps.len() > 5));
 }
