@@ -220,7 +220,7 @@ impl Stepper {
                     if now >= end {
                         return Ok(());
                     }
-                    self.pause(end - now);
+                    self.pause(end.saturating_sub(now));
                 }
                 Wait::Until(time) if now >= time => {
                     if orders.desk.any() {
@@ -238,7 +238,7 @@ impl Stepper {
                     let gate = self.inbox.gate();
                     let left = gate.due().saturating_add(gate.shift()) - self.settings.spin - now;
                     match left {
-                        _ if self.settings.spin == 0 => self.pause(PATIENCE.min(end - now)),
+                        _ if self.settings.spin == 0 => self.pause(PATIENCE.min(end.saturating_sub(now))),
                         1.. => self.pause(left),
                         _ if left > -2 * self.settings.spin => polls = POLLS,
                         _ => self.pause(PATIENCE),
