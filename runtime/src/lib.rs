@@ -55,9 +55,11 @@ pub mod channel;
 pub mod clock;
 #[cfg(feature = "conformance")]
 pub mod conformance;
+pub mod data;
 pub mod delay;
 pub mod doctor;
 pub mod graph;
+pub mod image;
 pub mod import;
 pub mod latency;
 pub mod launch;
@@ -69,3 +71,4 @@ pub mod registry;
 pub mod schedule;
 pub mod time;
 pub mod tuning;
+mod window;

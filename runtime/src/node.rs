@@ -33,9 +33,12 @@ use rand_chacha::ChaCha8Rng;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use crate::data::DataSpace;
 use crate::random::{Purpose, fnv1a, stream};
 use crate::time::Nanos;
 use crate::tuning::Tuning;
+
+pub use crate::window::InputWindow;
 
 /// A node's own parameters: a table, as in `graph.toml`.
 pub type Parameters = serde_json::Map<String, serde_json::Value>;
@@ -157,82 +160,6 @@ pub struct Received<M> {
     pub message: M,
 }
 
-/// What one input of one step sees: the last `window` messages, oldest first, as leaves.
-///
-/// It is filled anew for every step and keeps its memory.
-#[derive(Debug, Clone, PartialEq)]
-pub struct InputWindow {
-    port: String,
-    leaves: usize,
-    window: usize,
-    stamps: Vec<Consumed>,
-    values: Vec<f64>,
-    superseded: u64,
-}
-
-impl InputWindow {
-    /// An empty window for the input `port`, with room for `window` messages of `leaves` leaves.
-    pub fn new(port: impl Into<String>, leaves: usize, window: usize) -> Self {
-        Self {
-            port: port.into(),
-            leaves,
-            window,
-            stamps: Vec::with_capacity(window),
-            values: Vec::with_capacity(window * leaves),
-            superseded: 0,
-        }
-    }
-
-    /// The input's name.
-    pub fn port(&self) -> &str {
-        &self.port
-    }
-
-    /// How many messages a step sees.
-    pub fn capacity(&self) -> usize {
-        self.window
-    }
-
-    /// The messages, oldest first.
-    pub fn stamps(&self) -> &[Consumed] {
-        &self.stamps
-    }
-
-    /// The leaves of message `index`, oldest first.
-    ///
-    /// # Panics
-    ///
-    /// When there is no such message.
-    #[inline]
-    pub fn payload(&self, index: usize) -> &[f64] {
-        &self.values[index * self.leaves..(index + 1) * self.leaves]
-    }
-
-    /// How many messages left unseen between the last step and this one.
-    pub fn superseded(&self) -> u64 {
-        self.superseded
-    }
-
-    /// Empties the window for the next step.
-    pub fn clear(&mut self, superseded: u64) {
-        self.stamps.clear();
-        self.values.clear();
-        self.superseded = superseded;
-    }
-
-    /// Appends a message, newer than those before.
-    ///
-    /// # Panics
-    ///
-    /// When `payload` has not as many leaves as the input's messages.
-    #[inline]
-    pub fn push(&mut self, stamp: Consumed, payload: &[f64]) {
-        assert_eq!(payload.len(), self.leaves, "input `{}`: wrong number of leaves", self.port);
-        self.stamps.push(stamp);
-        self.values.extend_from_slice(payload);
-    }
-}
-
 /// One step, as a node sees it.
 #[derive(Debug, Clone, Copy)]
 pub struct Step<'a> {
@@ -263,13 +190,34 @@ impl<'a> Step<'a> {
     /// When the kind of node does not declare this port with this message: a mistake in the node itself.
     #[inline]
     pub fn window<M: Message>(&self, port: Port<M>) -> Window<'a, M> {
-        let Some(input) = self.inputs.iter().find(|input| input.port == port.name) else {
+        let input = self.input(port);
+        Window { next: 0, end: input.stamps().len(), input, message: PhantomData }
+    }
+
+    /// The input at `port`, with the data of its messages.
+    ///
+    /// # Panics
+    ///
+    /// When the kind of node does not declare this port: a mistake in the node itself.
+    #[inline]
+    pub fn input<M: Message>(&self, port: Port<M>) -> &'a InputWindow {
+        let Some(input) = self.inputs.iter().find(|input| input.port() == port.name) else {
             panic!(
                 "the kind of node does not declare the port `{}`; add it with `NodeKind::input`",
                 port.name
             )
         };
-        Window { next: 0, end: input.stamps.len(), input, message: PhantomData }
+        input
+    }
+
+    /// The [data](crate::data) of the newest message at `port`; empty where it has none.
+    ///
+    /// # Panics
+    ///
+    /// When the kind of node does not declare this port: a mistake in the node itself.
+    pub fn latest_data<M: Message>(&self, port: Port<M>) -> &'a [u8] {
+        let input = self.input(port);
+        input.stamps().len().checked_sub(1).map_or(&[], |newest| input.data(newest))
     }
 
     /// The newest message at `port`.
@@ -299,7 +247,7 @@ pub struct Window<'a, M> {
 impl<M: Message> Window<'_, M> {
     #[inline]
     fn get(&self, index: usize) -> Received<M> {
-        let Consumed { seq, sent, received } = self.input.stamps[index];
+        let Consumed { seq, sent, received } = self.input.stamps()[index];
         Received { seq, sent, received, message: M::read_from(self.input.payload(index)) }
     }
 }
@@ -408,6 +356,21 @@ pub trait ErasedNode: Send {
     ///
     /// As [`Node::step`].
     fn step_into(&mut self, step: &Step<'_>, output: &mut [f64]) -> Result<(), NodeError>;
+
+    /// As [`step_into`](Self::step_into), for nodes whose kind declares [data](crate::data).
+    ///
+    /// # Errors
+    ///
+    /// As [`Node::step`].
+    fn step_with_data(
+        &mut self,
+        step: &Step<'_>,
+        output: &mut [f64],
+        data: &mut DataSpace<'_>,
+    ) -> Result<(), NodeError> {
+        let _ = data;
+        self.step_into(step, output)
+    }
 
     /// As [`Node::stop`].
     fn stop(&mut self, why: Stopping) {

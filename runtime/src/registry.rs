@@ -10,6 +10,7 @@ use std::sync::Arc;
 use parallax_model::node_model::NodeModel;
 use parallax_model::tree::Tree;
 
+use crate::data::{DataNode, Writing};
 use crate::graph::{SafeOutput, SafeValue};
 use crate::model_node::{ModelKind, ModelStart};
 use crate::node::{ErasedNode, Layout, Message, Node, NodeContext, NodeError, Port};
@@ -60,6 +61,7 @@ pub struct NodeKind {
     inputs: Vec<InputPort>,
     output: Layout,
     initial: Vec<f64>,
+    data: usize,
     safe: Option<SafeOutput>,
     deterministic: bool,
     stand_in: bool,
@@ -78,6 +80,17 @@ impl NodeKind {
         })
     }
 
+    /// A kind whose messages have up to `most` bytes of [data](crate::data) beside their leaves.
+    pub fn with_data<N: DataNode + 'static>(
+        most: usize,
+        build: impl Fn(&NodeContext) -> Result<N, NodeError> + Send + Sync + 'static,
+    ) -> Self {
+        Self::erased(Layout::of::<N::Output>(), N::Output::default().to_vec(), move |context| {
+            Ok(Box::new(Writing(build(context)?)))
+        })
+        .data(most)
+    }
+
     /// A kind known only by its layouts, such as one that calls another language. `initial` holds one value a leaf.
     ///
     /// # Panics
@@ -93,6 +106,7 @@ impl NodeKind {
             inputs: Vec::new(),
             output,
             initial,
+            data: 0,
             safe: None,
             deterministic: true,
             stand_in: false,
@@ -167,6 +181,14 @@ impl NodeKind {
         self
     }
 
+    /// Declares that messages have up to `most` bytes of [data](crate::data) beside their leaves. Shared memory is taken
+    /// for so many, whatever a message then has.
+    #[must_use]
+    pub fn data(mut self, most: usize) -> Self {
+        self.data = most;
+        self
+    }
+
     /// What receivers see before the first message has come.
     ///
     /// # Panics
@@ -238,6 +260,11 @@ impl NodeKind {
     /// The leaves of the initial message.
     pub fn initial_message(&self) -> &[f64] {
         &self.initial
+    }
+
+    /// The most bytes of [data](crate::data) that a message has; 0 for messages without.
+    pub fn data_capacity(&self) -> usize {
+        self.data
     }
 
     /// What receivers are given when a node of this kind is gone, if the kind says so.

@@ -18,7 +18,12 @@ fn track(name: &str, stand_in: bool, leaves: &[&str], messages: &[(i64, &[f64])]
         stand_in,
         messages: (0..)
             .zip(messages)
-            .map(|(seq, (sent, payload))| MessageRecord { seq, sent: *sent, payload: payload.to_vec() })
+            .map(|(seq, (sent, payload))| MessageRecord {
+                seq,
+                sent: *sent,
+                payload: payload.to_vec(),
+                data: Default::default(),
+            })
             .collect(),
         steps: Vec::new(),
     }

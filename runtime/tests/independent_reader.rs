@@ -5,7 +5,10 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use parallax_model::tree::Tree as _;
+use parallax_runtime::data::Data;
 use parallax_runtime::graph::{GraphSpec, NodeSpec};
+use parallax_runtime::image::{CompressedImage, Encoding, Format, Image};
 use parallax_runtime::node::{Consumed, Layout};
 use parallax_runtime::recording::ros2msg::field_names;
 use parallax_runtime::recording::{
@@ -55,6 +58,7 @@ fn recording() -> Recording {
                 seq,
                 sent: seq as i64 * 10_000_000 + index as i64,
                 payload: (0..leaves.len()).map(|leaf| special(seq as usize + leaf)).collect(),
+                data: Data::from(&[seq as u8; 7][..if index == 0 { seq as usize % 8 } else { 0 }]),
             })
             .collect(),
         steps: (0..300u64)
@@ -140,7 +144,9 @@ fn python_reads_every_message() {
             .map(|message| {
                 let mut value: serde_json::Map<String, Value> =
                     fields.iter().cloned().zip(message.payload.iter().map(|value| bits(*value))).collect();
-                if fields.is_empty() {
+                if track.name == "node_0" {
+                    value.insert("data".into(), json!(&*message.data));
+                } else if fields.is_empty() {
                     value.insert("structure_needs_at_least_one_member".into(), json!(0));
                 }
                 json!([message.sent, message.sent, message.seq, value])
@@ -186,4 +192,34 @@ fn step(step: &StepRecord) -> Value {
     let value =
         json!({"seq": step.seq, "due": step.due, "start": step.start, "end": step.end, "inputs": inputs});
     json!([step.end, step.end, step.seq, value])
+}
+
+#[test]
+fn python_sees_images() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("images.mcap");
+    let mut recording = recording();
+    recording.nodes.truncate(2);
+    let images = [Image::new(3, 2, Encoding::Rgb8).to_vec(), CompressedImage::new(Format::Png).to_vec()];
+    let layouts = [Layout::of::<Image>(), Layout::of::<CompressedImage>()];
+    for ((track, payload), layout) in recording.nodes.iter_mut().zip(&images).zip(layouts) {
+        (track.layout, track.initial) = (layout, payload.clone());
+        for message in &mut track.messages {
+            (message.payload, message.data) = (payload.clone(), Data::from(&[message.seq as u8; 18][..]));
+        }
+    }
+    write(&path, &recording).unwrap();
+    assert_eq!(Recording::read(&path).unwrap().nodes, recording.nodes);
+    let read = read_with_python(&path);
+    let stamp = json!({"sec": 1, "nanosec": 500_000_000});
+    let data = json!(vec![150; 18]);
+    let (raw, compressed) = (&read["topics"]["/node_0"], &read["topics"]["/node_1"]);
+    assert_eq!((raw["schema"].as_str(), raw["count"].as_u64()), (Some("sensor_msgs/msg/Image"), Some(300)));
+    let expected = json!({
+        "header": {"stamp": stamp, "frame_id": "node_0"}, "height": 2, "width": 3, "encoding": "rgb8",
+        "is_bigendian": 0, "step": 9, "data": data,
+    });
+    assert_eq!(raw["messages"][150][3], expected);
+    assert_eq!(compressed["schema"], "sensor_msgs/msg/CompressedImage");
+    assert_eq!(compressed["messages"][150][3]["format"], "png");
 }

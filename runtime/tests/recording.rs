@@ -5,6 +5,7 @@
 use std::fs;
 use std::path::Path;
 
+use parallax_runtime::data::Data;
 use parallax_runtime::graph::{GraphSpec, NodeSpec};
 use parallax_runtime::node::{Consumed, Layout};
 use parallax_runtime::recording::{
@@ -33,7 +34,8 @@ fn track(index: usize) -> impl Strategy<Value = NodeTrack> {
     ("[a-z/]{1,5}", leaves, any::<bool>()).prop_flat_map(move |(type_name, leaves, stand_in)| {
         let count = leaves.len();
         let payload = prop::collection::vec(any::<u64>().prop_map(f64::from_bits), count);
-        let messages = prop::collection::vec((any::<u32>(), times.clone(), payload), 0..12);
+        let data = prop_oneof![Just(vec![]), prop::collection::vec(any::<u8>(), 0..20)];
+        let messages = prop::collection::vec((any::<u32>(), times.clone(), payload, data), 0..12);
         let steps = prop::collection::vec((any::<u32>(), step.clone()), 0..12);
         let initial =
             prop::collection::vec(prop_oneof![any::<f64>(), Just(f64::NAN), Just(f64::INFINITY)], count);
@@ -44,7 +46,12 @@ fn track(index: usize) -> impl Strategy<Value = NodeTrack> {
             stand_in,
             messages: messages
                 .into_iter()
-                .map(|(seq, sent, payload)| MessageRecord { seq: seq.into(), sent, payload })
+                .map(|(seq, sent, payload, data)| MessageRecord {
+                    seq: seq.into(),
+                    sent,
+                    payload,
+                    data: Data::from(&data[..]),
+                })
                 .collect(),
             steps: steps
                 .into_iter()
@@ -152,6 +159,7 @@ fn sample() -> Recording {
                 seq,
                 sent: seq as i64 * 33_000_000,
                 payload: vec![seq as f64, index as f64],
+                data: Data::default(),
             })
             .collect(),
         steps: (0..90)

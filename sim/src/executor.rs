@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
+use parallax_runtime::data::{Data, DataSpace};
 use parallax_runtime::delay::{Delay, DelaySampler};
 use parallax_runtime::graph::Graph;
 use parallax_runtime::node::{ErasedNode, NodeError, Step};
@@ -206,6 +207,9 @@ struct NodeState {
     inbox: Inbox,
     node: Box<dyn ErasedNode>,
     output: Box<[f64]>,
+    /// Room for the data of a message, and those of the last one.
+    room: Box<[u8]>,
+    data: Data,
     computation: DelaySampler,
     random: ChaCha8Rng,
     alive: bool,
@@ -223,6 +227,8 @@ struct Flight {
     random: ChaCha8Rng,
     stamps: VecDeque<(u64, Nanos)>,
     values: VecDeque<f64>,
+    /// As many as there are stamps, for messages with data.
+    data: VecDeque<Data>,
     payload: Box<[f64]>,
     last_arrival: Nanos,
 }
@@ -263,6 +269,8 @@ impl<'a, S: RecordingSink> Run<'a, S> {
                 inbox: Inbox::new(graph, index),
                 node,
                 output: plan.kind.initial_message().into(),
+                room: vec![0; if timing_only { 0 } else { plan.kind.data_capacity() }].into(),
+                data: Data::default(),
                 computation,
                 random: stream(seed, Purpose::Computation, &plan.name),
                 alive: true,
@@ -277,6 +285,7 @@ impl<'a, S: RecordingSink> Run<'a, S> {
             random: stream(seed, Purpose::Communication, &graph.connection_name(index)),
             stamps: VecDeque::with_capacity(plan.capacity),
             values: VecDeque::with_capacity(plan.capacity * plan.leaves),
+            data: VecDeque::new(),
             payload: vec![0.0; plan.leaves].into(),
             last_arrival: 0,
         });
@@ -359,8 +368,14 @@ impl<'a, S: RecordingSink> Run<'a, S> {
         let state = &mut self.nodes[node];
         let step = state.inbox.begin(now).map_err(|source| gate_error(self.graph, node, now, source))?;
         let seq = step.seq;
-        if let Err(error) = state.node.step_into(&step, &mut state.output) {
+        let mut space = DataSpace::new(&mut state.room);
+        let made = state.node.step_with_data(&step, &mut state.output, &mut space);
+        if let Err(error) = made {
             return self.die(node, now, FaultKind::Failed { message: error.to_string() });
+        }
+        let used = space.used();
+        if used > 0 || !state.data.is_empty() {
+            state.data = Data::from(&state.room[..used]);
         }
         state.start = now;
         let end = now.saturating_add(state.computation.sample(&mut state.random, &state.output));
@@ -391,7 +406,7 @@ impl<'a, S: RecordingSink> Run<'a, S> {
         let (seq, due) = (gate.seq(), gate.due());
         let step = StepView { seq, due, start: state.start, end: now, inputs: state.inbox.windows() };
         self.sink.step(node, &step)?;
-        self.sink.message(node, seq, now, &state.output)?;
+        self.sink.message(node, seq, now, &state.output, &state.data)?;
         state.inbox.end(now).map_err(|source| gate_error(self.graph, node, now, source))?;
         state.sent += 1;
         self.steps += 1;
@@ -404,6 +419,9 @@ impl<'a, S: RecordingSink> Run<'a, S> {
             if arrival < self.duration {
                 flight.stamps.push_back((seq, now));
                 flight.values.extend(state.output.iter());
+                if self.graph.connections()[connection].data > 0 {
+                    flight.data.push_back(state.data.clone());
+                }
                 self.queue.push(Event {
                     time: arrival,
                     class: Class::Arrival,
@@ -425,10 +443,11 @@ impl<'a, S: RecordingSink> Run<'a, S> {
             *place = value;
         }
         let state = &mut self.nodes[plan.to];
-        let arrival = state
-            .inbox
-            .arrive(plan.input, seq, sent, now, &flight.payload)
-            .map_err(|source| gate_error(self.graph, plan.to, now, source))?;
+        let arrival = match flight.data.pop_front() {
+            None => state.inbox.arrive(plan.input, seq, sent, now, &flight.payload),
+            Some(data) => state.inbox.arrive_with_data(plan.input, seq, sent, now, &flight.payload, data),
+        };
+        let arrival = arrival.map_err(|source| gate_error(self.graph, plan.to, now, source))?;
         if arrival.slot.is_none() {
             self.sink.loss(&Loss {
                 from: self.graph.nodes()[plan.from].name.clone(),

@@ -1,5 +1,6 @@
 //! Schedules drawn from a graph and its delays, without running its nodes.
 
+use parallax_runtime::data::Data;
 use parallax_runtime::graph::Graph;
 use parallax_runtime::random::derived;
 use parallax_runtime::recording::{Change, Fault, Loss, RecordingSink, SinkError, StepView};
@@ -57,7 +58,7 @@ struct EpisodeSink<'a> {
 }
 
 impl RecordingSink for EpisodeSink<'_> {
-    fn message(&mut self, _: usize, _: u64, _: Nanos, _: &[f64]) -> Result<(), SinkError> {
+    fn message(&mut self, _: usize, _: u64, _: Nanos, _: &[f64], _: &Data) -> Result<(), SinkError> {
         Ok(())
     }
 

@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use parallax_runtime::data::DataSpace;
 use parallax_runtime::graph::{Graph, GraphError};
 use parallax_runtime::node::{ErasedNode, InputWindow, NodeContext, NodeError, Step};
 use parallax_runtime::recording::{Change, Fault, FaultKind, NodeTrack, Recording, StepRecord};
@@ -378,6 +379,7 @@ fn rerun(
 
     let mut windows = empty_windows(graph, index);
     let mut output = track.initial.clone();
+    let mut room = vec![0; plan.kind.data_capacity()];
     let restarts = restarts(recording, &plan.name);
     for step in steps {
         if restarts.contains(&step.seq) {
@@ -394,11 +396,13 @@ fn rerun(
             .map_err(|source| ReplayError::Change { step: step.seq, source })?;
         result.consumed += fill_windows(graph, tracks, index, step, &mut windows);
         let view = Step::new(step.seq, step.due, step.start, &windows);
-        node.step_into(&view, &mut output).map_err(|source| ReplayError::Failed {
+        let mut space = DataSpace::new(&mut room);
+        node.step_with_data(&view, &mut output, &mut space).map_err(|source| ReplayError::Failed {
             node: plan.name.clone(),
             step: step.seq,
             source,
         })?;
+        let used = space.used();
         result.steps += 1;
         let Some(recorded) = track.message(step.seq) else { continue };
         let differs = |(a, b): (&f64, &f64)| a.to_bits() != b.to_bits();
@@ -411,6 +415,15 @@ fn rerun(
                 recorded: recorded.payload[leaf],
                 replayed: output[leaf],
             });
+        } else if let Some((leaf, recorded, replayed)) = data_difference(&recorded.data, &room[..used]) {
+            result.differing += 1;
+            result.first_difference.get_or_insert_with(|| Difference {
+                node: plan.name.clone(),
+                seq: step.seq,
+                leaf,
+                recorded,
+                replayed,
+            });
         }
     }
     Ok(result)
@@ -420,6 +433,15 @@ fn rerun(
 pub(crate) fn changes_before(recording: &Recording, node: &str, step: u64) -> Vec<Change> {
     let changes = recording.changes.iter().filter(|change| change.step == step && change.node == node);
     changes.cloned().collect()
+}
+
+/// What differs between recorded and replayed data: what it is called, and both values.
+fn data_difference(recorded: &[u8], replayed: &[u8]) -> Option<(String, f64, f64)> {
+    if recorded.len() != replayed.len() {
+        return Some(("the length of its data".into(), recorded.len() as f64, replayed.len() as f64));
+    }
+    let at = recorded.iter().zip(replayed).position(|(a, b)| a != b)?;
+    Some((format!("byte {at} of its data"), recorded[at].into(), replayed[at].into()))
 }
 
 /// Windows for the inputs of a node, still empty.
@@ -454,13 +476,14 @@ pub(crate) fn fill_windows(
                 window.push(consumed, &payload);
                 continue;
             }
-            let payload = match consumed.seq.map(|seq| sender.message(seq)) {
-                None => &sender.initial,
-                Some(Some(message)) => &message.payload,
+            match consumed.seq.map(|seq| sender.message(seq)) {
+                None => window.push(consumed, &sender.initial),
+                Some(Some(message)) => {
+                    window.push_with_data(consumed, &message.payload, message.data.clone())
+                }
                 // `check_step` has found every message.
                 Some(None) => continue,
-            };
-            window.push(consumed, payload);
+            }
             count += u64::from(consumed.seq.is_some());
         }
     }

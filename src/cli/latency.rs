@@ -39,7 +39,7 @@ so the numbers compare.
 
   one way     from the end of the sender's step to the begin of the receiver's
   round trip  from the send to the arrival of the answer
-  in place    the message is written and read where it lies in shared memory; a graph copies its messages
+  in place    the message is written and read where it lies in shared memory; in a graph, messages of 4096 bytes and more
 
 Percentiles that so few messages cannot show are left empty. Run it with nothing else on the machine; `parallax doctor`
 says what disturbs it.";

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::Args;
 use indicatif::ProgressBar;
+use parallax_runtime::data::Data;
 use parallax_runtime::recording::{
     Change, Description, Fault, Loss, NoSink, Recording, RecordingSink, RecordingWriter, SinkError, StepView,
 };
@@ -163,12 +164,19 @@ struct Watched<S> {
 }
 
 impl<S: RecordingSink> RecordingSink for Watched<S> {
-    fn message(&mut self, node: usize, seq: u64, sent: Nanos, payload: &[f64]) -> Result<(), SinkError> {
+    fn message(
+        &mut self,
+        node: usize,
+        seq: u64,
+        sent: Nanos,
+        payload: &[f64],
+        data: &Data,
+    ) -> Result<(), SinkError> {
         // A redraw for each message would cost more than the simulation.
         if seq.is_multiple_of(64) {
             self.bar.set_position(sent.max(0).unsigned_abs());
         }
-        self.sink.message(node, seq, sent, payload)
+        self.sink.message(node, seq, sent, payload, data)
     }
 
     fn step(&mut self, node: usize, step: &StepView<'_>) -> Result<(), SinkError> {

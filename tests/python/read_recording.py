@@ -21,7 +21,7 @@ def plain(value):
         return {"f64": struct.unpack("<Q", struct.pack("<d", value))[0]}
     if isinstance(value, (bool, int, str)):
         return value
-    if isinstance(value, (list, tuple)):
+    if isinstance(value, (list, tuple, bytes, bytearray, memoryview)):
         return [plain(item) for item in value]
     return {name: plain(getattr(value, name)) for name in value.__slots__}
 

@@ -1,8 +1,11 @@
 //! Publishers and subscribers: the thin layer over iceoryx2.
 
 use std::fmt::Debug;
+use std::mem::ManuallyDrop;
 use std::ops::{Deref, DerefMut};
 use std::path::PathBuf;
+use std::ptr::NonNull;
+use std::thread::ThreadId;
 
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
@@ -46,6 +49,8 @@ pub struct Publisher {
 pub struct Subscriber {
     port: iceoryx2::port::subscriber::Subscriber<Ipc, [u64], ()>,
     topic: Topic,
+    /// The thread that it was made in, and stays in.
+    thread: ThreadId,
 }
 
 /// A message being written, in the place in shared memory from which it is read.
@@ -55,12 +60,31 @@ pub struct Loan<'a> {
     topic: &'a Topic,
 }
 
-/// A message in the place where its sender wrote it. It stays as it is until the view is dropped.
+/// A message in the place where its sender wrote it. It stays as it is until the view is dropped, by the thread that took
+/// it: one that another thread drops keeps its place.
 #[derive(Debug)]
 pub struct View {
-    sample: iceoryx2::sample::Sample<Ipc, [u64], ()>,
-    /// Words that a message of its channel has at most.
-    limit: usize,
+    sample: ManuallyDrop<iceoryx2::sample::Sample<Ipc, [u64], ()>>,
+    /// The message that the sample holds.
+    words: NonNull<[u64]>,
+    /// The thread that took it, which the subscriber cannot leave.
+    thread: ThreadId,
+}
+
+// SAFETY: what keeps a sample from being sent is the count that it shares with its subscriber without synchronisation.
+// The sample is touched by `drop` only, and only on the thread that took it, where the subscriber is, too. Everything else
+// reads the words of the message, which nobody writes while the sample is there.
+unsafe impl Send for View {}
+// SAFETY: as above; a shared view gives nothing but the message to read.
+unsafe impl Sync for View {}
+
+impl Drop for View {
+    fn drop(&mut self) {
+        if std::thread::current().id() == self.thread {
+            // SAFETY: this is the only place that drops it, once, and nothing uses it afterwards.
+            unsafe { ManuallyDrop::drop(&mut self.sample) };
+        }
+    }
 }
 
 /// The words of a message. How many there are stands beside them in shared memory, where whoever sends can write: a number
@@ -219,7 +243,7 @@ impl Service {
             .buffer_size(self.topic.buffer.max(1))
             .create()
             .map_err(|e| failed(&self.topic.name, "subscribe")(&e))?;
-        Ok(Subscriber { port, topic: self.topic.clone() })
+        Ok(Subscriber { port, topic: self.topic.clone(), thread: std::thread::current().id() })
     }
 }
 
@@ -303,7 +327,10 @@ impl Subscriber {
     /// [`ChannelError::Transport`], also when too many views are kept.
     pub fn take(&self) -> Result<Option<View>, ChannelError> {
         let taken = self.port.receive().map_err(|e| failed(&self.topic.name, "receive")(&e))?;
-        Ok(taken.map(|sample| View { sample, limit: self.topic.words }))
+        Ok(taken.map(|sample| {
+            let words = NonNull::from(words(&sample, self.topic.words));
+            View { sample: ManuallyDrop::new(sample), words, thread: self.thread }
+        }))
     }
 
     /// What was agreed for this channel.
@@ -320,6 +347,28 @@ impl Loan<'_> {
     /// [`ChannelError::Transport`].
     pub fn send(self) -> Result<usize, ChannelError> {
         self.sample.send().map_err(|e| failed(&self.topic.name, "send")(&e))
+    }
+}
+
+impl Loan<'_> {
+    /// Sends the message, and then hands it to `look`, to be read where it lies; gives the number of subscribers that it
+    /// was put before.
+    ///
+    /// # Errors
+    ///
+    /// [`ChannelError::Transport`]; the message is not handed on then.
+    ///
+    /// # Safety
+    ///
+    /// `look` must neither begin nor send another message of the same publisher.
+    pub(crate) unsafe fn send_then(self, look: impl FnOnce(&[u64])) -> Result<usize, ChannelError> {
+        let words: *const [u64] = self.sample.payload();
+        let delivered = self.send()?;
+        // SAFETY: the words lie in the publisher's own segment, which stays mapped while the publisher lives, and it lives
+        // for as long as the loan borrowed it. Receivers only read them. Their place is given to another message by this
+        // publisher alone, when it begins or sends one, which the caller rules out.
+        look(unsafe { &*words });
+        Ok(delivered)
     }
 }
 
@@ -341,6 +390,7 @@ impl Deref for View {
     type Target = [u64];
 
     fn deref(&self) -> &[u64] {
-        words(&self.sample, self.limit)
+        // SAFETY: the words were the sample's when it was taken, and stay where they are, as they are, while it is there.
+        unsafe { self.words.as_ref() }
     }
 }

@@ -7,6 +7,7 @@ use parallax_model::node_model::NodeModel;
 use super::{
     ConnectionSpec, GraphSpec, JitterPolicy, NodeSpec, OnDeadSender, PlantSpec, SafeValue, Scheduling,
 };
+use crate::data::DataNode;
 use crate::delay::Delay;
 use crate::node::{Layout, Message, Node, Port};
 
@@ -110,6 +111,17 @@ impl GraphBuilder {
 
     /// Begins a node that runs `N` at `rate` Hz; `kind` is its key in the registry. Ends with [`NodeBuilder::add`].
     pub fn node<N: Node>(
+        &mut self,
+        name: impl Into<String>,
+        kind: impl Into<String>,
+        rate: f64,
+    ) -> NodeBuilder<'_, N::Output> {
+        NodeBuilder { graph: self, spec: NodeSpec::new(name, kind, rate), message: PhantomData }
+    }
+
+    /// Begins a node whose messages have [data](crate::data), with steps of `N` at `rate` Hz; `kind` is its key in the
+    /// registry. Ends with [`NodeBuilder::add`].
+    pub fn data_node<N: DataNode>(
         &mut self,
         name: impl Into<String>,
         kind: impl Into<String>,

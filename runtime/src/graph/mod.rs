@@ -10,6 +10,8 @@ mod safe;
 mod spec;
 mod validate;
 
+pub(crate) use validate::few;
+
 pub use builder::{ConnectionBuilder, GraphBuilder, NodeBuilder, NodeHandle};
 pub use error::{GraphError, GraphWarning, MAX_WINDOW};
 pub use safe::{SafeOutput, SafeValue};
@@ -90,6 +92,8 @@ pub struct ConnectionPlan {
     pub capacity: usize,
     /// How many leaves a message has.
     pub leaves: usize,
+    /// The most bytes of [data](crate::data) that a message has.
+    pub data: usize,
 }
 
 impl Graph {

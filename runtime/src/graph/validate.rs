@@ -16,6 +16,8 @@ const BACKLOG: f64 = 1.0;
 /// Bounds on the messages that this backlog is worth.
 const MIN_BACKLOG: usize = 16;
 const MAX_BACKLOG: usize = 8192;
+/// Bytes of data that may wait at one place, unless they are of two messages only.
+const WAITING_BYTES: usize = 64 << 20;
 
 impl GraphSpec {
     /// Checks the graph against the kinds of node in `registry`, and plans it.
@@ -207,6 +209,7 @@ fn plan_connection(
         return Err(GraphError::DelayOfOutput { from, to, leaf: leaf.to_owned() });
     }
     let expected = nodes[sender].computation.expected() + connection.delay.expected();
+    let data = nodes[sender].kind.data_capacity();
     Ok(ConnectionPlan {
         from: sender,
         to: receiver,
@@ -221,15 +224,23 @@ fn plan_connection(
             .computation
             .expected_nanos()
             .saturating_add(connection.delay.expected_nanos()),
-        capacity: capacity(connection.window, spec.nodes[sender].rate, expected),
+        capacity: capacity(connection.window, spec.nodes[sender].rate, expected, data),
         leaves: sent.leaves.len(),
+        data,
     })
 }
 
-/// Room for the window, for what arrives while the receiver is late, and for what a jitter buffer holds back.
-fn capacity(window: usize, sender_rate: f64, expected_delay: f64) -> usize {
+/// Room for the window, for what arrives while the receiver is late, and for what a jitter buffer holds back. Messages
+/// with data keep their places in shared memory: of these there are fewer where they are large.
+fn capacity(window: usize, sender_rate: f64, expected_delay: f64, data: usize) -> usize {
     let behind = (sender_rate * (BACKLOG + expected_delay)).ceil() as usize;
-    window + behind.clamp(MIN_BACKLOG, MAX_BACKLOG)
+    let behind = behind.clamp(MIN_BACKLOG, MAX_BACKLOG);
+    window + if data > 0 { behind.min(few(data)) } else { behind }
+}
+
+/// How many messages with so much data may wait at one place.
+pub(crate) fn few(data: usize) -> usize {
+    (WAITING_BYTES / data.max(1)).max(2)
 }
 
 fn nearest_node(name: &str, nodes: &[NodePlan]) -> Suggestion {

@@ -74,20 +74,20 @@ pub fn aims(report: &Report) -> Vec<Aim> {
             ));
         }
     }
-    // The largest message beside the smallest, for whatever is said to be in place.
-    let channels = || report.rows.iter().filter(|row| row.case.carrier == Carrier::Channel);
-    if let (Some(least), Some(most)) =
-        (channels().min_by_key(|row| row.case.payload), channels().max_by_key(|row| row.case.payload))
-        && most.case.payload > least.case.payload
-    {
-        aims.extend(Aim::new(
-            format!(
-                "channel, in place, {} bytes, p50: 1.1 x {} bytes",
-                most.case.payload, least.case.payload
-            ),
-            most.one_way.at(50.0),
-            times(Some(least), 50.0, 1.1, 0.0),
-        ));
+    // The largest message beside the smallest, for what is in place.
+    for carrier in [Carrier::Graph, Carrier::Channel] {
+        let rows = || report.rows.iter().filter(move |row| row.case.carrier == carrier);
+        let Some(most) = rows().max_by_key(|row| row.case.payload) else { continue };
+        let like = |row: &&Row| Case { payload: 0, ..row.case } == Case { payload: 0, ..most.case };
+        let Some(least) = rows().filter(like).min_by_key(|row| row.case.payload) else { continue };
+        if most.case.payload > least.case.payload {
+            let (large, small) = (most.case.payload, least.case.payload);
+            aims.extend(Aim::new(
+                format!("{carrier}, {large} bytes, p50: 1.1 x {small} bytes"),
+                most.one_way.at(50.0),
+                times(Some(least), 50.0, 1.1, 0.0),
+            ));
+        }
     }
     aims.extend(Aim::new("around a step, recorded, p50: 1 us", report.step.at(50.0), Some(1000.0)));
     let bare = |delays: &Delays| delays.at(99.0).map(|late| late as f64 * 1.2);

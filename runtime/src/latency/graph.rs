@@ -9,6 +9,7 @@ use serde_json::json;
 
 use super::{Carrier, Delays, LatencyError, Options, Row, Wait, warm_up};
 use crate::clock::monotonic;
+use crate::data::DataSpace;
 use crate::graph::{ConnectionSpec, GraphSpec, NodeSpec};
 use crate::launch::{self, End, Mode, RunOptions};
 use crate::node::{ErasedNode, Layout, NodeContext, NodeError, Step};
@@ -20,15 +21,19 @@ pub const NODE_COMMAND: &str = "__latency-node";
 
 /// The body of the hidden subcommand [`NODE_COMMAND`]; `arguments` are those after it.
 pub fn node_main(mut arguments: impl Iterator<Item = String>) -> ExitCode {
-    let Some(leaves) = arguments.next().and_then(|leaves| leaves.parse().ok()) else {
+    let number = |text: Option<String>| text.and_then(|text| text.parse().ok());
+    let (Some(leaves), Some(data)) = (number(arguments.next()), number(arguments.next())) else {
         eprintln!("this subcommand is started by `parallax latency`");
         return ExitCode::FAILURE;
     };
-    launch::node_main(arguments, &registry(leaves))
+    launch::node_main(arguments, &registry(leaves, data))
 }
 
-/// The kinds of node that are measured, for messages of so many numbers.
-fn registry(leaves: usize) -> Registry {
+/// Bytes of a message from which on they are data, and not numbers.
+const LARGE: usize = 4096;
+
+/// The kinds of node that are measured, for messages of so many numbers and so many bytes of data.
+fn registry(leaves: usize, data: usize) -> Registry {
     let layout = Layout {
         name: "latency/Payload".into(),
         leaves: (0..leaves.max(2)).map(|leaf| format!("v{leaf}")).collect(),
@@ -38,7 +43,7 @@ fn registry(leaves: usize) -> Registry {
         let kind = NodeKind::erased(layout.clone(), initial.clone(), move |context| {
             Ok(Box::new(Measuring::new(context, role)?))
         });
-        kind.input_with_layout(port, layout.clone())
+        kind.data(data).input_with_layout(port, layout.clone())
     };
     let alone = NodeKind::erased(layout.clone(), initial.clone(), |context| {
         Ok(Box::new(Measuring::new(context, Role::Alone)?))
@@ -98,6 +103,17 @@ impl Measuring {
 }
 
 impl ErasedNode for Measuring {
+    fn step_with_data(
+        &mut self,
+        step: &Step<'_>,
+        output: &mut [f64],
+        data: &mut DataSpace<'_>,
+    ) -> Result<(), NodeError> {
+        // All of it is sent; as with the floors, nobody fills it.
+        data.take(data.capacity())?;
+        self.step_into(step, output)
+    }
+
     fn step_into(&mut self, step: &Step<'_>, output: &mut [f64]) -> Result<(), NodeError> {
         let now = monotonic();
         let newest = step.inputs().first().and_then(|input| {
@@ -159,7 +175,7 @@ fn node(name: &str, kind: &str, rate: f64, samples: &Path, time: Duration) -> No
 
 fn run(
     graph: &GraphSpec,
-    leaves: usize,
+    (leaves, data): (usize, usize),
     options: RunOptions,
     fifo: bool,
 ) -> Result<Vec<String>, LatencyError> {
@@ -168,10 +184,10 @@ fn run(
         real_time: fifo,
         spread: false,
         signals: false,
-        node_command: vec![NODE_COMMAND.into(), leaves.to_string()],
+        node_command: vec![NODE_COMMAND.into(), leaves.to_string(), data.to_string()],
         ..options
     };
-    let report = launch::run(graph, &registry(leaves), options)?;
+    let report = launch::run(graph, &registry(leaves, data), options)?;
     match &report.end {
         End::Duration => Ok(report.warnings),
         _ => Err(LatencyError::Ended {
@@ -211,7 +227,8 @@ pub(super) fn exchange(
 ) -> Result<Vec<String>, LatencyError> {
     let case = row.case;
     let folder = Folder::new()?;
-    let (rate, leaves) = (case.rate(options.rate), (case.payload / 8).max(2));
+    let rate = case.rate(options.rate);
+    let shape = if case.payload < LARGE { ((case.payload / 8).max(2), 0) } else { (2, case.payload) };
     let mut ping = node("ping", "latency/ping", rate, &folder.file("ping"), time);
     let mut pong = node("pong", "latency/pong", rate, &folder.file("pong"), time);
     pong.advance = true;
@@ -235,7 +252,7 @@ pub(super) fn exchange(
         recording,
         ..RunOptions::default()
     };
-    let warnings = run(&graph, leaves, run_options, case.fifo)?;
+    let warnings = run(&graph, shape, run_options, case.fifo)?;
     row.one_way.extend(read(&folder.file("pong"))?);
     row.round_trip.extend(read(&folder.file("ping"))?);
     Ok(warnings)
@@ -262,7 +279,7 @@ pub(super) fn overhead(delays: &mut Delays, options: &Options, recorded: bool) -
         spin: Wait::Spin.spin(),
         ..RunOptions::default()
     };
-    run(&graph, 8, run_options, false)?;
+    run(&graph, (8, 0), run_options, false)?;
     delays.extend(read(&folder.file("busy"))?);
     Ok(())
 }
@@ -284,7 +301,7 @@ pub(super) fn lateness(
         plant: None,
     };
     let run_options = RunOptions { duration: Some(time.as_nanos() as Nanos), ..RunOptions::default() };
-    let warnings = run(&graph, 8, run_options, true)?;
+    let warnings = run(&graph, (8, 0), run_options, true)?;
     delays.extend(read(&folder.file("alone"))?);
     Ok(warnings)
 }

@@ -127,11 +127,11 @@ impl Case {
     /// Messages a second: as asked, or, where they are copied, as many of this size as can be copied several times.
     pub(crate) fn rate(&self, asked: f64) -> f64 {
         match self.carrier {
-            Carrier::Graph | Carrier::RecordedGraph | Carrier::UnixSocket => {
-                asked.min(200e6 / self.payload as f64)
-            }
+            Carrier::RecordedGraph | Carrier::UnixSocket => asked.min(200e6 / self.payload as f64),
             // At the same rate a large message finds caches and cores in the state in which a small one finds them.
-            Carrier::Channel | Carrier::Iceoryx2 | Carrier::Crossbeam | Carrier::Futex => asked,
+            Carrier::Graph | Carrier::Channel | Carrier::Iceoryx2 | Carrier::Crossbeam | Carrier::Futex => {
+                asked
+            }
         }
     }
 }

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::Rotate;
 use super::settings::NodeSettings;
 use crate::channel::Topic;
-use crate::graph::{Graph, GraphSpec};
+use crate::graph::{Graph, GraphSpec, few};
 use crate::node::Layout;
 use crate::recording::{Access, LossReason};
 use crate::time::Nanos;
@@ -45,6 +45,8 @@ pub(super) struct RecordingPlan {
 
 /// Words before the payload of a message: its number and the time it was sent.
 pub(super) const MESSAGE_HEAD: usize = 2;
+/// Words before the data of a message: their length in bytes.
+pub(super) const DATA_HEAD: usize = 1;
 /// Words before the inputs in the record of a step: kind, number of the record, seq, due, start, end.
 pub(super) const STEP_HEAD: usize = 6;
 /// Words before the messages of an input in the record of a step: superseded, number of messages.
@@ -81,33 +83,55 @@ pub(super) fn output(graph: &Graph, node: usize) -> Topic {
     let windows = plan.outputs.iter().map(|&connection| graph.connections()[connection].capacity);
     // A receiver empties its end before each step; while it computes, messages queue here. A quarter of a
     // second is more than a step of a robot may take, and beyond it the oldest are counted as lost.
-    let queue = windows.max().unwrap_or(1).max((rate * 0.25) as usize).clamp(8, 8192);
+    let capacity = windows.max().unwrap_or(1);
+    let data = plan.kind.data_capacity();
+    let queue = match data {
+        0 => capacity.max((rate * 0.25) as usize).clamp(8, 8192),
+        // Those that a receiver has taken keep their places, too.
+        _ => ((rate * 0.25) as usize).clamp(2, few(data)),
+    };
     Topic {
         name: plan.name.clone(),
         layout: plan.kind.output().hash(),
-        words: MESSAGE_HEAD + plan.kind.output().leaves.len(),
+        words: message_words(graph, node),
         buffer: queue,
         subscribers: plan.outputs.len(),
-        held: 0,
+        held: if data > 0 { capacity } else { 0 },
     }
+}
+
+/// Words of a message: the head, the leaves, and, for kinds with data, their length in bytes and the room for them.
+pub(super) fn message_words(graph: &Graph, node: usize) -> usize {
+    let kind = &graph.nodes()[node].kind;
+    MESSAGE_HEAD + kind.output().leaves.len() + data_words(kind.data_capacity())
+}
+
+/// Words of a message that hold its data.
+pub(super) fn data_words(most: usize) -> usize {
+    if most == 0 { 0 } else { DATA_HEAD + most.div_ceil(8) }
 }
 
 /// How long the recorder may be kept from running, or the disk from writing, before records are lost (s). Three seconds
 /// were seen on two cores that compile at the same time.
 const RECORDER_SLACK: f64 = 15.0;
 
+/// Bytes of data that may wait for the recorder, by node.
+const WAITING_RECORDS: usize = 256 << 20;
+
 /// The channel of a node's records: its steps with their messages, and its losses.
 pub(super) fn records(graph: &Graph, node: usize) -> Topic {
     let plan = &graph.nodes()[node];
     let layout = plan.kind.output();
     let inputs = plan.inputs.iter().map(|&connection| &graph.connections()[connection]);
+    let data = plan.kind.data_capacity();
+    let buffer = ((graph.spec().nodes[node].rate * RECORDER_SLACK) as usize).clamp(64, 32_768);
     let words: usize = inputs.map(|input| INPUT_HEAD + CONSUMED * input.window).sum();
     let description = Layout { name: format!("record of {}", layout.name), leaves: layout.leaves.clone() };
     Topic {
         name: format!("{}/record", plan.name),
         layout: description.hash(),
-        words: (STEP_HEAD + words + layout.leaves.len()).max(LOSS_WORDS.max(CHANGE_WORDS)),
-        buffer: ((graph.spec().nodes[node].rate * RECORDER_SLACK) as usize).clamp(64, 32_768),
+        words: (STEP_HEAD + words + layout.leaves.len() + data_words(data)).max(LOSS_WORDS.max(CHANGE_WORDS)),
+        buffer: WAITING_RECORDS.checked_div(data).map_or(buffer, |most| buffer.min(most.max(8))),
         subscribers: 1,
         held: 0,
     }

@@ -20,6 +20,7 @@ use super::plan::{
     Settings,
 };
 use crate::channel::{Endpoint, Space, Subscriber};
+use crate::data::bytes;
 use crate::graph::Graph;
 use crate::node::Consumed;
 use crate::recording::{
@@ -421,8 +422,8 @@ fn write(
         let Some(words) = words.get(..LOSS_WORDS) else { return Ok(()) };
         return losses(graph, *node, words).try_for_each(|loss| file.loss(&loss));
     }
-    let Some((step, payload)) = step(graph, *node, words) else { return Ok(()) };
-    file.message(*node, step.seq, step.end, &payload)?;
+    let Some((step, payload, data)) = step(graph, *node, words) else { return Ok(()) };
+    file.message_with_data(*node, step.seq, step.end, &payload, data)?;
     file.step_record(*node, &step)
 }
 
@@ -462,8 +463,8 @@ fn change(graph: &Graph, space: &Space, node: usize, words: &[u64]) -> Change {
     Change { node: name.clone(), step: words[2], time: words[5] as Nanos, by, kind }
 }
 
-/// A step and the payload that it sent.
-fn step(graph: &Graph, node: usize, words: &[u64]) -> Option<(StepRecord, Vec<f64>)> {
+/// A step, the payload that it sent, and the data of that.
+fn step<'a>(graph: &Graph, node: usize, words: &'a [u64]) -> Option<(StepRecord, Vec<f64>, &'a [u8])> {
     let (head, mut rest) = words.split_at_checked(STEP_HEAD)?;
     let mut inputs = Vec::new();
     for &connection in &graph.nodes()[node].inputs {
@@ -478,8 +479,14 @@ fn step(graph: &Graph, node: usize, words: &[u64]) -> Option<(StepRecord, Vec<f6
         inputs.push(InputRecord { port, consumed: consumed.collect(), superseded: input[0] });
         rest = after;
     }
-    let payload = rest.iter().map(|word| f64::from_bits(*word)).collect();
+    let kind = &graph.nodes()[node].kind;
+    let (leaves, rest) = rest.split_at_checked(kind.output().leaves.len())?;
+    let payload = leaves.iter().map(|word| f64::from_bits(*word)).collect();
+    let data = match rest.split_first() {
+        Some((length, words)) => bytes(words).get(..usize::try_from(*length).ok()?)?,
+        None => &[],
+    };
     let [seq, due, start, end] = [head[2], head[3], head[4], head[5]];
     let step = StepRecord { seq, due: due as Nanos, start: start as Nanos, end: end as Nanos, inputs };
-    Some((step, payload))
+    Some((step, payload, data))
 }

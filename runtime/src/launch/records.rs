@@ -13,16 +13,20 @@ use crate::time::Nanos;
 /// The way to the recorder.
 pub(super) struct Records {
     pub(super) publisher: Publisher,
-    words: Box<[u64]>,
     pub(super) sent: u64,
+}
+
+/// What a step sent.
+pub(super) struct Output<'a> {
+    pub(super) leaves: &'a [f64],
+    /// The words of its data, where its kind has some: the length, and as many as it takes.
+    pub(super) data: &'a [u64],
 }
 
 impl Records {
     /// The sending end of a node's records.
     pub(super) fn open(endpoint: &Endpoint, topic: &Topic) -> Result<Self, ChannelError> {
-        let publisher = endpoint.open(topic)?.publisher()?;
-        let words = vec![0; publisher.topic().words].into();
-        Ok(Self { publisher, words, sent: 0 })
+        Ok(Self { publisher: endpoint.open(topic)?.publisher()?, sent: 0 })
     }
 
     /// Sends that these messages of an input are lost.
@@ -36,16 +40,8 @@ impl Records {
         vitals: &Vitals,
     ) -> Result<(), ChannelError> {
         let code = plan::reason_code(reason);
-        self.words[..LOSS_WORDS].copy_from_slice(&[
-            LOSS,
-            self.sent,
-            input as u64,
-            first,
-            count,
-            time as u64,
-            code,
-        ]);
-        self.send(LOSS_WORDS, vitals)
+        let words = [LOSS, self.sent, input as u64, first, count, time as u64, code];
+        self.send(LOSS_WORDS, vitals, |place| place.copy_from_slice(&words))
     }
 
     /// Sends what was set or reset before step `step`.
@@ -62,8 +58,7 @@ impl Records {
         let by = errand.by.word();
         let mut put = |parameter, old: f64, new: f64| {
             let words = [CHANGE, self.sent, step, parameter, old.to_bits(), time as u64, new.to_bits(), by];
-            self.words[..CHANGE_WORDS].copy_from_slice(&words);
-            self.send(CHANGE_WORDS, vitals)
+            self.send(CHANGE_WORDS, vitals, |place| place.copy_from_slice(&words))
         };
         if errand.is_reset() {
             put(RESET, 0.0, 0.0)?;
@@ -76,40 +71,49 @@ impl Records {
         &mut self,
         times: [u64; 4],
         inbox: &Inbox,
-        values: &[f64],
+        output: &Output<'_>,
         vitals: &Vitals,
     ) -> Result<(), ChannelError> {
-        let length = self.put_step(times, inbox, values);
-        self.send(length, vitals)
+        let inputs = inbox.windows().iter().map(|window| INPUT_HEAD + CONSUMED * window.stamps().len());
+        let length = STEP_HEAD + inputs.sum::<usize>() + output.leaves.len() + output.data.len();
+        let number = self.sent;
+        self.send(length, vitals, |words| put_step(words, number, times, inbox, output))
     }
 
-    /// Puts the record of a step together; gives its length in words.
-    fn put_step(&mut self, times: [u64; 4], inbox: &Inbox, values: &[f64]) -> usize {
-        self.words[0] = STEP;
-        self.words[1] = self.sent;
-        self.words[2..STEP_HEAD].copy_from_slice(&times);
-        let mut at = STEP_HEAD;
-        for window in inbox.windows() {
-            self.words[at] = window.superseded();
-            self.words[at + 1] = window.stamps().len() as u64;
-            at += INPUT_HEAD;
-            for stamp in window.stamps() {
-                let words = [stamp.seq.unwrap_or(INITIAL), stamp.sent as u64, stamp.received as u64];
-                self.words[at..at + CONSUMED].copy_from_slice(&words);
-                at += CONSUMED;
-            }
-        }
-        for (word, value) in self.words[at..].iter_mut().zip(values) {
-            *word = value.to_bits();
-        }
-        at + values.len()
-    }
-
-    fn send(&mut self, length: usize, vitals: &Vitals) -> Result<(), ChannelError> {
+    fn send(
+        &mut self,
+        length: usize,
+        vitals: &Vitals,
+        put: impl FnOnce(&mut [u64]),
+    ) -> Result<(), ChannelError> {
         // A record that does not reach the recorder leaves a gap in this count, which the recorder reports.
         self.sent += 1;
-        self.publisher.send(length, |word| self.words[word])?;
+        let mut record = self.publisher.loan(length)?;
+        put(&mut record);
+        record.send()?;
         vitals.set(Vital::Records, self.sent);
         Ok(())
     }
+}
+
+/// Writes the record of a step where the recorder reads it.
+fn put_step(words: &mut [u64], number: u64, times: [u64; 4], inbox: &Inbox, output: &Output<'_>) {
+    words[0] = STEP;
+    words[1] = number;
+    words[2..STEP_HEAD].copy_from_slice(&times);
+    let mut at = STEP_HEAD;
+    for window in inbox.windows() {
+        words[at] = window.superseded();
+        words[at + 1] = window.stamps().len() as u64;
+        at += INPUT_HEAD;
+        for stamp in window.stamps() {
+            let consumed = [stamp.seq.unwrap_or(INITIAL), stamp.sent as u64, stamp.received as u64];
+            words[at..at + CONSUMED].copy_from_slice(&consumed);
+            at += CONSUMED;
+        }
+    }
+    for (word, value) in words[at..].iter_mut().zip(output.leaves) {
+        *word = value.to_bits();
+    }
+    words[at + output.leaves.len()..].copy_from_slice(output.data);
 }

@@ -83,6 +83,12 @@ impl CdrWriter {
         self.bytes.extend_from_slice(&value.to_le_bytes());
     }
 
+    /// A `uint32`.
+    pub fn u32(&mut self, value: u32) {
+        self.align(4);
+        self.bytes.extend_from_slice(&value.to_le_bytes());
+    }
+
     /// A `bool`.
     pub fn flag(&mut self, value: bool) {
         self.bytes.push(u8::from(value));
@@ -93,6 +99,12 @@ impl CdrWriter {
         self.align(4);
         // A sequence of more than four thousand million elements cannot be in memory: each takes a byte.
         self.bytes.extend_from_slice(&u32::try_from(length).unwrap_or(u32::MAX).to_le_bytes());
+    }
+
+    /// A `uint8[]`.
+    pub fn blob(&mut self, bytes: &[u8]) {
+        self.length(bytes.len());
+        self.bytes.extend_from_slice(bytes);
     }
 
     /// A `string`.
@@ -165,6 +177,17 @@ impl<'a> CdrReader<'a> {
         self.eight().map(i64::from_le_bytes)
     }
 
+    /// A `uint32`.
+    ///
+    /// # Errors
+    ///
+    /// [`CdrError::Short`].
+    pub fn u32(&mut self) -> Result<u32, CdrError> {
+        let mut value = [0; 4];
+        value.copy_from_slice(self.take(4, 4)?);
+        Ok(u32::from_le_bytes(value))
+    }
+
     /// A `bool`.
     ///
     /// # Errors
@@ -193,6 +216,16 @@ impl<'a> CdrReader<'a> {
             return Err(CdrError::Short { length: self.bytes.len() + 4, wanted });
         }
         Ok(length)
+    }
+
+    /// A `uint8[]`.
+    ///
+    /// # Errors
+    ///
+    /// [`CdrError::Short`].
+    pub fn blob(&mut self) -> Result<&'a [u8], CdrError> {
+        let length = self.length(1)?;
+        self.take(length, 1)
     }
 
     /// A `string`.

@@ -4,6 +4,7 @@ use serde_json::json;
 
 use super::log::{Log, Role, Signal, Source};
 use super::{Clock, MessageRecord, NodeTrack, Recording};
+use crate::data::Data;
 use crate::graph::{GraphSpec, NodeSpec, Parameters};
 use crate::node::Layout;
 use crate::time::{Nanos, from_seconds};
@@ -181,7 +182,12 @@ impl Log {
                 initial: vec![0.0],
                 stand_in: false,
                 messages: messages
-                    .map(|((time, value), seq)| MessageRecord { seq, sent: *time, payload: vec![*value] })
+                    .map(|((time, value), seq)| MessageRecord {
+                        seq,
+                        sent: *time,
+                        payload: vec![*value],
+                        data: Data::default(),
+                    })
                     .collect(),
                 steps: Vec::new(),
             });

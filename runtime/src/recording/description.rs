@@ -12,7 +12,9 @@ use crate::time::Nanos;
 /// Name of the attachment that says what is in the file.
 pub(super) const DESCRIPTION: &str = "graph.json";
 /// Version of what this writer writes; a reader refuses larger ones.
-pub(super) const FORMAT: u32 = 1;
+pub(super) const FORMAT: u32 = 2;
+/// Version of recordings without data, which older readers read.
+pub(super) const WITHOUT_DATA: u32 = 1;
 
 /// What is in a recording besides its messages and steps: the attachment `graph.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -37,6 +39,14 @@ pub struct NodeDescription {
     pub initial: Vec<f64>,
     /// Whether it stands in for hardware.
     pub stand_in: bool,
+    /// The most bytes of data that its messages have; 0 for messages without.
+    #[serde(default, skip_serializing_if = "is_none")]
+    pub data: usize,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
+fn is_none(data: &usize) -> bool {
+    *data == 0
 }
 
 impl Description {
@@ -47,6 +57,7 @@ impl Description {
             layout: node.kind.output().clone(),
             initial: node.kind.initial_message().to_vec(),
             stand_in: node.kind.is_stand_in(),
+            data: node.kind.data_capacity(),
         });
         Self { graph: graph.spec().clone(), clock, nodes: nodes.collect() }
     }

@@ -12,10 +12,12 @@ mod error;
 pub mod log;
 mod reader;
 pub mod ros2msg;
+mod shape;
 mod writer;
 
 use serde::{Deserialize, Serialize};
 
+use crate::data::Data;
 use crate::graph::{Graph, GraphSpec};
 use crate::node::{InputWindow, Layout};
 use crate::time::Nanos;
@@ -117,6 +119,8 @@ pub struct MessageRecord {
     pub sent: Nanos,
     /// Its leaves.
     pub payload: Vec<f64>,
+    /// Its data; empty for kinds without.
+    pub data: Data,
 }
 
 /// One step as it ran.
@@ -335,7 +339,14 @@ pub trait RecordingSink {
     /// # Errors
     ///
     /// When it cannot be kept.
-    fn message(&mut self, node: usize, seq: u64, sent: Nanos, payload: &[f64]) -> Result<(), SinkError>;
+    fn message(
+        &mut self,
+        node: usize,
+        seq: u64,
+        sent: Nanos,
+        payload: &[f64],
+        data: &Data,
+    ) -> Result<(), SinkError>;
 
     /// A node finished a step.
     ///
@@ -371,7 +382,7 @@ pub trait RecordingSink {
 pub struct NoSink;
 
 impl RecordingSink for NoSink {
-    fn message(&mut self, _: usize, _: u64, _: Nanos, _: &[f64]) -> Result<(), SinkError> {
+    fn message(&mut self, _: usize, _: u64, _: Nanos, _: &[f64], _: &Data) -> Result<(), SinkError> {
         Ok(())
     }
     fn step(&mut self, _: usize, _: &StepView<'_>) -> Result<(), SinkError> {
@@ -431,8 +442,16 @@ impl MemorySink {
 }
 
 impl RecordingSink for MemorySink {
-    fn message(&mut self, node: usize, seq: u64, sent: Nanos, payload: &[f64]) -> Result<(), SinkError> {
-        self.recording.nodes[node].messages.push(MessageRecord { seq, sent, payload: payload.to_vec() });
+    fn message(
+        &mut self,
+        node: usize,
+        seq: u64,
+        sent: Nanos,
+        payload: &[f64],
+        data: &Data,
+    ) -> Result<(), SinkError> {
+        let (payload, data) = (payload.to_vec(), data.clone());
+        self.recording.nodes[node].messages.push(MessageRecord { seq, sent, payload, data });
         Ok(())
     }
 

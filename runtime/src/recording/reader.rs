@@ -12,6 +12,7 @@ use super::cdr::{CdrError, CdrReader};
 use super::container::{Cut, Raw, Walk, parse};
 use super::description::{DESCRIPTION, DescriptionFile, FORMAT};
 use super::error::RecordingError;
+use super::shape::Shape;
 use super::writer::{CONTENT, Content, DURATION, END, NODE};
 use super::{Consumed, InputRecord, MessageRecord, NodeTrack, Recording, StepRecord};
 use crate::time::Nanos;
@@ -49,6 +50,8 @@ struct Reader<'a> {
     recording: Option<Recording>,
     origin: Nanos,
     targets: BTreeMap<u16, Target>,
+    /// By node, whether its messages have data.
+    data: Vec<bool>,
     topics: BTreeSet<String>,
     /// The record that tells the duration has been read.
     ended: bool,
@@ -61,6 +64,7 @@ impl<'a> Reader<'a> {
             recording: None,
             origin: 0,
             targets: BTreeMap::new(),
+            data: Vec::new(),
             topics: BTreeSet::new(),
             ended: false,
         }
@@ -188,6 +192,7 @@ impl<'a> Reader<'a> {
         }
         let file: DescriptionFile = serde_json::from_slice(data).map_err(|e| fail(e.to_string()))?;
         self.origin = file.origin;
+        self.data = file.description.nodes.iter().map(|node| node.data > 0).collect();
         let nodes = file.description.nodes.into_iter();
         self.recording = Some(Recording {
             graph: file.description.graph,
@@ -246,10 +251,12 @@ impl<'a> Reader<'a> {
         match target.content {
             Content::Messages => {
                 let track = &mut recording.nodes[target.node];
-                let payload = payload(data, track.layout.leaves.len()).map_err(fail)?;
+                let has_data = self.data.get(target.node) == Some(&true);
+                let shape = Shape::of(&track.layout, has_data);
+                let (payload, data) = shape.read(data, track.layout.leaves.len()).map_err(fail)?;
                 // The writer put in a time that fits; the sum wraps only in a file that nobody wrote.
                 let sent = (header.log_time as Nanos).wrapping_add(self.origin);
-                track.messages.push(MessageRecord { seq: u64::from(header.sequence), sent, payload });
+                track.messages.push(MessageRecord { seq: u64::from(header.sequence), sent, payload, data });
             }
             Content::Steps => recording.nodes[target.node].steps.push(step(data).map_err(fail)?),
             Content::Losses => recording.losses.push(note(data).map_err(fail)?),
@@ -258,16 +265,6 @@ impl<'a> Reader<'a> {
         }
         Ok(())
     }
-}
-
-fn payload(data: &[u8], leaves: usize) -> Result<Vec<f64>, CdrError> {
-    let mut cdr = CdrReader::new(data)?;
-    let payload = (0..leaves).map(|_| cdr.f64()).collect::<Result<_, _>>()?;
-    if leaves == 0 {
-        cdr.flag()?;
-    }
-    cdr.end()?;
-    Ok(payload)
 }
 
 fn step(data: &[u8]) -> Result<StepRecord, CdrError> {

@@ -21,13 +21,14 @@ pub struct Schema {
     pub text: String,
 }
 
-/// The schema of a message whose leaves are all `float64`.
+/// The schema of a message whose leaves are all `float64`, and which may have data.
 ///
 /// The field names are [`field_names`]; the names as the program has them stand in the comments of the text
 /// and, for reading back, in the channel's metadata.
-pub fn message(type_name: &str, leaves: &[String]) -> Schema {
+pub fn message(type_name: &str, leaves: &[String], data: bool) -> Schema {
     let mut text = String::new();
-    for (field, leaf) in field_names(leaves).iter().zip(leaves) {
+    let fields = field_names(leaves);
+    for (field, leaf) in fields.iter().zip(leaves) {
         // A comment ends with its line, whatever the name holds.
         let comment: String = leaf.chars().filter(|c| !c.is_control()).collect();
         let _ = writeln!(
@@ -36,10 +37,38 @@ pub fn message(type_name: &str, leaves: &[String]) -> Schema {
             if *field == comment { String::new() } else { format!("  # {comment}") }
         );
     }
-    if leaves.is_empty() {
+    if data {
+        // Distinct from the leaves' names, which come first.
+        let mut taken = fields.into_iter().collect();
+        let _ = writeln!(text, "uint8[] {}", distinct("data".into(), &mut taken));
+    } else if leaves.is_empty() {
         let _ = writeln!(text, "uint8 {EMPTY_MEMBER}");
     }
     Schema { name: format!("{PACKAGE}/msg/{}", type_name_of(type_name)), text }
+}
+
+/// The types that a header is made of.
+fn header() -> String {
+    format!(
+        "{SEPARATOR}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n\
+         {SEPARATOR}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+    )
+}
+
+/// The schema of an image, as ROS 2 has it.
+pub fn image() -> Schema {
+    let text = format!(
+        "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\n\
+         uint8[] data\n{}",
+        header()
+    );
+    Schema { name: "sensor_msgs/msg/Image".into(), text }
+}
+
+/// The schema of a compressed image, as ROS 2 has it.
+pub fn compressed_image() -> Schema {
+    let text = format!("std_msgs/Header header\nstring format\nuint8[] data\n{}", header());
+    Schema { name: "sensor_msgs/msg/CompressedImage".into(), text }
 }
 
 /// The schema of a node's steps.
@@ -165,7 +194,7 @@ mod tests {
 
         #[test]
         fn a_strange_leaf_stays_on_its_line(leaf in "\\PC{0,6}[\n\r]{0,2}\\PC{0,6}") {
-            let schema = message("m", &[leaf]);
+            let schema = message("m", &[leaf], false);
             prop_assert_eq!(schema.text.lines().count(), 1);
         }
     }

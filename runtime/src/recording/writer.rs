@@ -11,13 +11,15 @@ use mcap::{Attachment, WriteOptions};
 use serde::Serialize;
 
 use super::cdr::CdrWriter;
-use super::description::{DESCRIPTION, Description, DescriptionFile, FORMAT, NodeDescription};
+use super::description::{DESCRIPTION, Description, DescriptionFile, FORMAT, NodeDescription, WITHOUT_DATA};
 use super::error::RecordingError;
 use super::ros2msg::{self, Schema};
+use super::shape::Shape;
 use super::{
     Access, Change, Consumed, Fault, Loss, MessageRecord, NodeTrack, Recording, RecordingSink, SinkError,
     StepRecord, StepView,
 };
+use crate::data::Data;
 use crate::time::Nanos;
 
 /// Keys of a channel's metadata.
@@ -56,6 +58,7 @@ pub struct RecordingWriter {
 struct TrackChannels {
     name: String,
     leaves: usize,
+    shape: Shape,
     messages: u16,
     steps: u16,
 }
@@ -134,7 +137,7 @@ impl RecordingWriter {
             .create(file)
             .map_err(fail)?;
         let file = DescriptionFile {
-            format: FORMAT,
+            format: if description.nodes.iter().any(|node| node.data > 0) { FORMAT } else { WITHOUT_DATA },
             versions: BTreeMap::from([("parallax".into(), env!("CARGO_PKG_VERSION").into())]),
             origin,
             description: description.clone(),
@@ -151,8 +154,9 @@ impl RecordingWriter {
 
         let mut channels = Channels { mcap: &mut mcap, types: BTreeMap::new() };
         let mut tracks = Vec::with_capacity(description.nodes.len());
-        for NodeDescription { name, layout, .. } in &description.nodes {
-            let schema = channels.named_apart(ros2msg::message(&layout.name, &layout.leaves));
+        for NodeDescription { name, layout, data, .. } in &description.nodes {
+            let shape = Shape::of(layout, *data > 0);
+            let schema = channels.named_apart(shape.schema(layout));
             let leaves = serde_json::to_string(&layout.leaves).map_err(|e| io(e.into()))?;
             let about = [(NODE, name.as_str()), (LEAVES, &leaves)];
             let messages =
@@ -161,7 +165,8 @@ impl RecordingWriter {
             let steps = channels
                 .add(&format!("/{name}/steps"), &ros2msg::step(), Content::Steps, &about)
                 .map_err(fail)?;
-            tracks.push(TrackChannels { name: name.clone(), leaves: layout.leaves.len(), messages, steps });
+            let leaves = layout.leaves.len();
+            tracks.push(TrackChannels { name: name.clone(), leaves, shape, messages, steps });
         }
         let note = ros2msg::note();
         let losses = channels.add("/parallax/losses", &note, Content::Losses, &[]).map_err(fail)?;
@@ -198,7 +203,23 @@ impl RecordingWriter {
         sent: Nanos,
         payload: &[f64],
     ) -> Result<(), RecordingError> {
-        let (channel, leaves) = (self.tracks[node].messages, self.tracks[node].leaves);
+        self.message_with_data(node, seq, sent, payload, &[])
+    }
+
+    /// As [`message`](RecordingWriter::message), with the message's [data](crate::data).
+    ///
+    /// # Errors
+    ///
+    /// As [`message`](RecordingWriter::message), and for data of a node that was described without.
+    pub fn message_with_data(
+        &mut self,
+        node: usize,
+        seq: u64,
+        sent: Nanos,
+        payload: &[f64],
+        data: &[u8],
+    ) -> Result<(), RecordingError> {
+        let TrackChannels { messages: channel, leaves, shape, .. } = self.tracks[node];
         let refuse = |reason: String| RecordingError::Unwritable {
             path: self.path.clone(),
             node: self.tracks[node].name.clone(),
@@ -208,14 +229,13 @@ impl RecordingWriter {
         if payload.len() != leaves {
             return Err(refuse(format!("it has {} values and the layout {leaves} leaves", payload.len())));
         }
+        if !shape.has_data() && !data.is_empty() {
+            return Err(refuse(format!("it has {} bytes of data, and its kind declares none", data.len())));
+        }
         let sequence = u32::try_from(seq).map_err(|_| refuse("MCAP counts to 2^32 only".into()))?;
         let time =
             self.time(sent).ok_or_else(|| refuse(format!("it was sent at {sent} ns, before the start")))?;
-        self.cdr.begin();
-        payload.iter().for_each(|value| self.cdr.f64(*value));
-        if payload.is_empty() {
-            self.cdr.flag(false);
-        }
+        shape.write(&mut self.cdr, &self.tracks[node].name, sent, payload, data);
         self.put(channel, sequence, time)
     }
 
@@ -420,8 +440,15 @@ fn encode_step<'a>(
 }
 
 impl RecordingSink for RecordingWriter {
-    fn message(&mut self, node: usize, seq: u64, sent: Nanos, payload: &[f64]) -> Result<(), SinkError> {
-        self.message(node, seq, sent, payload).map_err(|e| SinkError(e.into()))
+    fn message(
+        &mut self,
+        node: usize,
+        seq: u64,
+        sent: Nanos,
+        payload: &[f64],
+        data: &Data,
+    ) -> Result<(), SinkError> {
+        self.message_with_data(node, seq, sent, payload, data).map_err(|e| SinkError(e.into()))
     }
 
     fn step(&mut self, node: usize, step: &StepView<'_>) -> Result<(), SinkError> {
@@ -458,6 +485,7 @@ pub fn write(path: &Path, recording: &Recording) -> Result<(), RecordingError> {
                 layout: track.layout.clone(),
                 initial: track.initial.clone(),
                 stand_in: track.stand_in,
+                data: track.messages.iter().map(|message| message.data.len()).max().unwrap_or(0),
             })
             .collect(),
     };
@@ -466,8 +494,8 @@ pub fn write(path: &Path, recording: &Recording) -> Result<(), RecordingError> {
     let mut writer = RecordingWriter::with_origin(path, &description, origin, Access::Owner)?;
     for Timed { node, record, .. } in records {
         match record {
-            Record::Message(MessageRecord { seq, sent, payload }) => {
-                writer.message(node, *seq, *sent, payload)?
+            Record::Message(MessageRecord { seq, sent, payload, data }) => {
+                writer.message_with_data(node, *seq, *sent, payload, data)?
             }
             Record::Step(step) => writer.step_record(node, step)?,
         }

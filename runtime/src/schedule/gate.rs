@@ -298,6 +298,11 @@ impl StepGate {
         self.inputs[input].visible()
     }
 
+    /// The places of an input that hold no payload now.
+    pub fn free(&self, input: usize) -> impl Iterator<Item = usize> + '_ {
+        self.inputs[input].free()
+    }
+
     /// How many messages left the input unseen between the last step and the running one.
     #[inline]
     pub fn superseded(&self, input: usize) -> u64 {

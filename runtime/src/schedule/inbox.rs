@@ -1,6 +1,7 @@
 //! A gate with the payloads beside it.
 
 use super::{Arrival, GateError, Resumption, StepGate};
+use crate::data::Data;
 use crate::graph::{Graph, SafeOutput};
 use crate::node::{Consumed, InputWindow, Step};
 use crate::time::Nanos;
@@ -18,6 +19,8 @@ pub struct Inbox {
 #[derive(Debug, Clone)]
 struct Ring {
     leaves: usize,
+    /// Whether messages have data, which lie in the window at the same places.
+    data: bool,
     values: Box<[f64]>,
     initial: Box<[f64]>,
     /// The newest message that arrived, and then the safe output of its sender over it.
@@ -39,13 +42,17 @@ impl Inbox {
         let plans = || graph.nodes()[index].inputs.iter().map(|&connection| &graph.connections()[connection]);
         let rings = plans().enumerate().map(|(input, plan)| Ring {
             leaves: plan.leaves,
+            data: plan.data > 0,
             values: vec![0.0; plan.leaves * gate.capacity(input)].into_boxed_slice(),
             initial: graph.nodes()[plan.from].kind.initial_message().into(),
             newest: graph.nodes()[plan.from].kind.initial_message().into(),
             safe: graph.nodes()[plan.from].safe.clone(),
             safe_pending: false,
         });
-        let windows = plans().map(|plan| InputWindow::new(plan.port.clone(), plan.leaves, plan.window));
+        let windows = plans().enumerate().map(|(input, plan)| {
+            let places = if plan.data > 0 { gate.capacity(input) } else { 0 };
+            InputWindow::new(plan.port.clone(), plan.leaves, plan.window).with_places(places)
+        });
         Self { rings: rings.collect(), windows: windows.collect(), gate }
     }
 
@@ -91,6 +98,31 @@ impl Inbox {
         Ok(arrival)
     }
 
+    /// A message with data arrived; otherwise as [`arrive`](Self::arrive).
+    ///
+    /// # Errors
+    ///
+    /// As [`StepGate::arrive`].
+    ///
+    /// # Panics
+    ///
+    /// As [`arrive`](Self::arrive).
+    pub fn arrive_with_data(
+        &mut self,
+        input: usize,
+        seq: u64,
+        sent: Nanos,
+        received: Nanos,
+        payload: &[f64],
+        data: Data,
+    ) -> Result<Arrival, GateError> {
+        let arrival = self.arrive(input, seq, sent, received, payload)?;
+        if let Some(slot) = arrival.slot {
+            self.windows[input].keep(slot, data);
+        }
+        Ok(arrival)
+    }
+
     /// The sender of an input is dead; see [`StepGate::sender_dead`].
     ///
     /// # Panics
@@ -115,6 +147,7 @@ impl Inbox {
         if let Some(slot) = slot {
             safe.write_over(&mut ring.newest);
             ring.values[slot * ring.leaves..(slot + 1) * ring.leaves].copy_from_slice(&ring.newest);
+            self.windows[input].keep(slot, Data::default());
         }
     }
 
@@ -167,7 +200,11 @@ impl Inbox {
                 window.push(Consumed::INITIAL, &ring.initial);
             }
             for (slot, stamp) in self.gate.visible(input) {
-                window.push(stamp, &ring.values[slot * ring.leaves..(slot + 1) * ring.leaves]);
+                window.show(stamp, &ring.values[slot * ring.leaves..(slot + 1) * ring.leaves], slot);
+            }
+            if ring.data {
+                // What no window will show again is let go of.
+                self.gate.free(input).for_each(|place| window.keep(place, Data::default()));
             }
         }
         Ok(Step::new(seq, due, start, &self.windows))

@@ -274,6 +274,11 @@ impl InputGate {
         })
     }
 
+    /// The places that hold nothing now.
+    pub(super) fn free(&self) -> impl Iterator<Item = usize> + '_ {
+        (self.len..self.entries.len()).map(|index| self.slot(index))
+    }
+
     #[inline]
     fn belongs(&self, entry: &Entry, start: Nanos) -> bool {
         if self.blocking {

@@ -47,8 +47,13 @@ impl Node for Counted {
     }
 }
 
+/// How often this thread has allocated.
+pub(crate) fn count() -> u64 {
+    COUNT.with(Cell::get)
+}
+
 /// How often one message over a channel allocates, inside the transport.
-fn transport(words: usize) -> u64 {
+pub(crate) fn transport(words: usize) -> u64 {
     let space = Space::create().unwrap();
     let here = Endpoint::new(&space).unwrap();
     let topic = Topic { name: "any".into(), layout: 1, words, buffer: 8, subscribers: 1, held: 0 };

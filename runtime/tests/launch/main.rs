@@ -7,6 +7,7 @@
 mod allocation;
 #[cfg(feature = "conformance")]
 mod conformance;
+mod data;
 mod failures;
 mod faults;
 mod nodes;
@@ -62,6 +63,7 @@ fn main() -> ExitCode {
         strangers::TESTS,
         wall::TESTS,
         allocation::TESTS,
+        data::TESTS,
     ]
     .concat();
     #[cfg(feature = "conformance")]

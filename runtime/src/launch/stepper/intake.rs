@@ -5,9 +5,10 @@ use std::ops::Range;
 use super::{StepError, Stepper};
 use crate::channel::{ChannelError, Subscriber};
 use crate::clock::WallClock;
+use crate::data::Data;
 use crate::graph::OnDeadSender;
 use crate::launch::orders::Orders;
-use crate::launch::plan::MESSAGE_HEAD;
+use crate::launch::plan::{DATA_HEAD, MESSAGE_HEAD, data_words};
 use crate::launch::vitals::{InputVital, Vitals};
 use crate::recording::LossReason;
 use crate::time::{Grid, Nanos, SECOND};
@@ -18,7 +19,11 @@ pub(super) struct Input {
     pub(super) sender_grid: Grid,
     pub(super) sender_vitals: Vitals,
     pub(super) subscriber: Subscriber,
+    /// The leaves of the last message.
     pub(super) values: Box<[f64]>,
+    /// The most bytes of data that a message has, and the data of the last one.
+    pub(super) capacity: usize,
+    pub(super) data: Data,
     /// What an earlier process of this node made of the messages.
     pub(super) consumed_before: u64,
     pub(super) superseded_before: u64,
@@ -28,6 +33,44 @@ pub(super) struct Input {
     pub(super) counted: u64,
     /// Whether nothing was left waiting when it was last looked at.
     pub(super) empty: bool,
+}
+
+impl Input {
+    /// Takes the next message apart, if there is one: gives its head, and whether it is as long as it has to be.
+    fn next(&mut self) -> Result<Option<([u64; MESSAGE_HEAD], bool)>, ChannelError> {
+        let (mut head, mut fits) = ([0; MESSAGE_HEAD], false);
+        let leaves = MESSAGE_HEAD + self.values.len();
+        let expected = leaves + data_words(self.capacity);
+        let values = &mut self.values;
+        let mut read = |words: &[u64]| {
+            fits = words.len() == expected;
+            if fits {
+                head.copy_from_slice(&words[..MESSAGE_HEAD]);
+                for (value, word) in values.iter_mut().zip(&words[MESSAGE_HEAD..leaves]) {
+                    *value = f64::from_bits(*word);
+                }
+            }
+        };
+        if self.capacity == 0 {
+            return Ok(self.subscriber.receive(read)?.then_some((head, fits)));
+        }
+        let Some(view) = self.subscriber.take()? else { return Ok(None) };
+        read(&view);
+        // A sender that says it wrote more than there is room for is not believed.
+        let length = usize::try_from(view.get(leaves).copied().unwrap_or(u64::MAX)).unwrap_or(usize::MAX);
+        self.data = match length {
+            // Its place can be given back at once.
+            0 => Data::default(),
+            _ if fits && length <= self.capacity => {
+                Data::in_place(view, leaves + DATA_HEAD, length).unwrap_or_default()
+            }
+            _ => {
+                fits = false;
+                Data::default()
+            }
+        };
+        Ok(Some((head, fits)))
+    }
 }
 
 /// What a look at the inputs gave.
@@ -65,23 +108,9 @@ impl Stepper {
             let before = self.inputs[index].empty;
             let mut any = false;
             loop {
-                let Input { subscriber, values, .. } = &mut self.inputs[index];
-                let mut head = [0; MESSAGE_HEAD];
-                let mut length = 0;
-                let expected = MESSAGE_HEAD + values.len();
-                let got = subscriber.receive(|words| {
-                    length = words.len();
-                    if length == expected {
-                        head.copy_from_slice(&words[..MESSAGE_HEAD]);
-                        for (value, word) in values.iter_mut().zip(&words[MESSAGE_HEAD..]) {
-                            *value = f64::from_bits(*word);
-                        }
-                    }
-                })?;
-                self.inputs[index].empty = !got;
-                if !got {
-                    break;
-                }
+                let next = self.inputs[index].next()?;
+                self.inputs[index].empty = next.is_none();
+                let Some((head, fits)) = next else { break };
                 // What arrives after the end belongs to no step.
                 let received = clock.now();
                 if received >= end {
@@ -90,15 +119,21 @@ impl Stepper {
                 }
                 any = true;
                 let [seq, sent] = head;
-                if length != expected || !self.plausible(index, seq, received) {
+                if !fits || !self.plausible(index, seq, received) {
                     // Garbage of one node must not end another.
                     let first = seq.min(u64::MAX - 1);
                     self.lose(index, first..first + 1, received, LossReason::Malformed)?;
                     taken = Taken::Something;
                     continue;
                 }
-                let arrival =
-                    self.inbox.arrive(index, seq, sent as Nanos, received, &self.inputs[index].values)?;
+                let Input { values, capacity, data, .. } = &mut self.inputs[index];
+                let arrival = match *capacity {
+                    0 => self.inbox.arrive(index, seq, sent as Nanos, received, values)?,
+                    _ => {
+                        let data = std::mem::take(data);
+                        self.inbox.arrive_with_data(index, seq, sent as Nanos, received, values, data)?
+                    }
+                };
                 self.miss(index, arrival.missing, received)?;
                 self.inputs[index].resumed = false;
                 if arrival.slot.is_none() {

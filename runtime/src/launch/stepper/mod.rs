@@ -9,16 +9,19 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 mod intake;
+mod output;
 
 use intake::{Input, Taken};
+use output::Room;
 
 use super::orders::Orders;
 use super::plan::{self, MESSAGE_HEAD, Settings};
-use super::records::Records;
-use super::settings::{NodeSettings, OnDeadline, OnNonFinite};
+use super::records::{Output, Records};
+use super::settings::NodeSettings;
 use super::vitals::{InputVital, Vital, Vitals};
 use crate::channel::{ChannelError, Endpoint, Listener, Publisher, Waker};
 use crate::clock::WallClock;
+use crate::data::Data;
 use crate::graph::{Graph, OnDeadSender, SafeOutput, Scheduling};
 use crate::node::{ErasedNode, NodeError, Step, Stopping};
 use crate::recording::LossReason;
@@ -61,6 +64,8 @@ pub(super) struct Stepper {
     output: Publisher,
     wakers: Vec<Waker>,
     records: Option<Records>,
+    /// Where the data of a message lie.
+    room: Room,
     /// The output of the last step.
     values: Box<[f64]>,
     leaves: Vec<String>,
@@ -98,6 +103,8 @@ impl Stepper {
                 sender_vitals: Vitals::open(run, &sender.name, sender.inputs.len())?,
                 subscriber: endpoint.open(&plan::output(graph, connection.from))?.subscriber()?,
                 values: vec![0.0; connection.leaves].into(),
+                capacity: connection.data,
+                data: Data::default(),
                 consumed_before: 0,
                 superseded_before: 0,
                 resumed: false,
@@ -122,6 +129,7 @@ impl Stepper {
             output: endpoint.open(&plan::output(graph, index))?.publisher()?,
             wakers: Vec::new(),
             records,
+            room: Room::new(plan.kind.output().leaves.len(), plan.kind.data_capacity()),
             values: vec![0.0; plan.kind.output().leaves.len()].into(),
             leaves: plan.kind.output().leaves.clone(),
             sent: plan.kind.initial_message().into(),
@@ -274,28 +282,56 @@ impl Stepper {
         let step: Step<'_> = self.inbox.begin(start)?;
         let (seq, due) = (step.seq, step.due);
         self.vitals.set(Vital::Stepping, (clock.epoch() + earliest) as u64);
-        self.node.step_into(&step, &mut self.values).map_err(|source| StepError::Node { seq, source })?;
+        let mut large = self.room.message(&self.output)?;
+        let failed = |source| StepError::Node { seq, source };
+        self.room.step(&mut *self.node, &step, &mut self.values, large.as_deref_mut()).map_err(failed)?;
         let end = clock.now();
-        self.judge(seq, end - earliest)?;
+        let replace = self.settings.judge(&self.vitals, &self.leaves, &self.values, seq, end - earliest)?;
+        match &self.safe {
+            Some(safe) if replace => {
+                safe.write_over(&mut self.sent);
+                self.vitals.add(Vital::Replaced, 1);
+            }
+            _ => self.sent.copy_from_slice(&self.values),
+        }
         // Before it is sent: whoever takes up this node's work must not use the number again.
         self.vitals.set(Vital::Next, seq + 1);
-        let values = &self.sent;
-        let delivered = self.output.send(MESSAGE_HEAD + values.len(), |word| match word {
-            0 => seq,
-            1 => end as u64,
-            leaf => values[leaf - MESSAGE_HEAD].to_bits(),
-        })?;
+        let (values, wakers, records) = (&self.sent, &self.wakers, &mut self.records);
+        let times = [seq, due as u64, start as u64, end as u64];
+        let delivered = match large {
+            None => {
+                let delivered = self.output.send(MESSAGE_HEAD + values.len(), |word| match word {
+                    0 => seq,
+                    1 => end as u64,
+                    leaf => values[leaf - MESSAGE_HEAD].to_bits(),
+                })?;
+                wakers.iter().for_each(|waker| _ = waker.wake());
+                if let Some(records) = records {
+                    records.step(times, &self.inbox, &Output { leaves: values, data: &[] }, &self.vitals)?;
+                }
+                delivered
+            }
+            Some(mut message) => {
+                self.room.head(&mut message, [seq, end as u64], values, replace);
+                let mut recorded = Ok(());
+                // SAFETY: nothing in there begins or sends a message of the node's output.
+                let delivered = unsafe {
+                    message.send_then(|words| {
+                        wakers.iter().for_each(|waker| _ = waker.wake());
+                        if let Some(records) = records {
+                            let output = Output { leaves: values, data: self.room.data(words) };
+                            recorded = records.step(times, &self.inbox, &output, &self.vitals);
+                        }
+                    })
+                }?;
+                recorded?;
+                delivered
+            }
+        };
         self.vitals.add(Vital::Sent, 1);
         let undelivered = self.output.topic().subscribers.saturating_sub(delivered);
         if undelivered > 0 {
             self.vitals.add(Vital::Undelivered, undelivered as u64);
-        }
-        for waker in &self.wakers {
-            waker.wake();
-        }
-        if let Some(records) = &mut self.records {
-            let times = [seq, due as u64, start as u64, end as u64];
-            records.step(times, &self.inbox, values, &self.vitals)?;
         }
         let shift = self.inbox.gate().shift();
         self.inbox.end(end)?;
@@ -321,46 +357,6 @@ impl Stepper {
         Ok(())
     }
 
-    /// Decides what is sent: the output, or the safe one in its place.
-    fn judge(&mut self, seq: u64, took: Nanos) -> Result<(), StepError> {
-        let mut replace = false;
-        if let Some(deadline) = self.settings.deadline.filter(|deadline| took > *deadline) {
-            self.vitals.add(Vital::Late, 1);
-            let by = (took - deadline) as u64;
-            if by > self.vitals.get(Vital::LateBy) {
-                self.vitals.set(Vital::LateBy, by);
-            }
-            match self.settings.on_deadline {
-                OnDeadline::Count | OnDeadline::Warn => {}
-                OnDeadline::Safe => replace = true,
-                OnDeadline::Stop => return Err(StepError::Deadline { seq, took, deadline }),
-            }
-        }
-        if let Some(leaf) = self.values.iter().position(|value| !value.is_finite()) {
-            if self.vitals.get(Vital::NonFinite) == 0 {
-                self.vitals.set(Vital::NonFiniteStep, seq);
-                self.vitals.set(Vital::NonFiniteLeaf, leaf as u64);
-            }
-            self.vitals.add(Vital::NonFinite, 1);
-            match self.settings.on_non_finite {
-                OnNonFinite::Warn => {}
-                OnNonFinite::Safe => replace = true,
-                OnNonFinite::Fail => {
-                    let (leaf, value) = (self.leaves[leaf].clone(), self.values[leaf]);
-                    return Err(StepError::NonFinite { seq, leaf, value });
-                }
-            }
-        }
-        match &self.safe {
-            Some(safe) if replace => {
-                safe.write_over(&mut self.sent);
-                self.vitals.add(Vital::Replaced, 1);
-            }
-            _ => self.sent.copy_from_slice(&self.values),
-        }
-        Ok(())
-    }
-
     /// The end of the node: one more step on the safe outputs of its senders, if they have any, and the node's own stop.
     /// Gives what went wrong with that.
     ///
@@ -371,8 +367,11 @@ impl Stepper {
         self.vitals.set(Vital::Stepping, 0);
         if why != Stopping::Failed && self.inbox.has_safe() {
             let now = clock.now();
-            let Self { node, inbox, values, .. } = self;
-            let last = catch_unwind(AssertUnwindSafe(|| node.step_into(&inbox.last(now), values)));
+            let Self { node, inbox, values, room, output, .. } = self;
+            let last = catch_unwind(AssertUnwindSafe(|| {
+                let mut large = room.message(output).map_err(|e| NodeError::failed(e.to_string()))?;
+                room.step(&mut **node, &inbox.last(now), values, large.as_deref_mut())
+            }));
             problem = match last {
                 Ok(Ok(())) => None,
                 Ok(Err(error)) => Some(format!("its last step: {error}")),
