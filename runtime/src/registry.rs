@@ -67,7 +67,13 @@ pub struct NodeKind {
     stand_in: bool,
     model: Option<ModelKind>,
     build: Arc<Build>,
+    /// For kinds of another program.
+    external: Option<Arc<BuildExternal>>,
 }
+
+/// Builds a node of another program from its context, its inputs and its output.
+pub type BuildExternal =
+    dyn Fn(&NodeContext, &[InputPort], &Layout) -> Result<Box<dyn ErasedNode>, NodeError> + Send + Sync;
 
 impl NodeKind {
     /// A kind whose nodes are built by `build`. It has no inputs yet, is deterministic, and its initial message is the
@@ -112,7 +118,48 @@ impl NodeKind {
             stand_in: false,
             model: None,
             build: Arc::new(build),
+            external: None,
         }
+    }
+
+    /// A kind that another program runs, such as the interpreter of another language: its messages follow from the
+    /// [graph](crate::graph). `build` is for that program; one that only starts, reads or replays graphs with such
+    /// nodes never builds them, and says so in an error of its own.
+    ///
+    /// It counts as [not deterministic](Self::not_deterministic): its messages are taken from a recording, not made again.
+    pub fn external(
+        build: impl Fn(&NodeContext, &[InputPort], &Layout) -> Result<Box<dyn ErasedNode>, NodeError>
+        + Send
+        + Sync
+        + 'static,
+    ) -> Self {
+        let unshaped = |_: &NodeContext| -> Result<Box<dyn ErasedNode>, NodeError> {
+            Err(NodeError::failed("its messages are not known: no graph has been validated"))
+        };
+        let kind = Self::erased(Layout { name: String::new(), leaves: Vec::new() }, Vec::new(), unshaped);
+        Self { external: Some(Arc::new(build)), ..kind }.not_deterministic()
+    }
+
+    /// Whether it is run by another program.
+    pub fn is_external(&self) -> bool {
+        self.external.is_some()
+    }
+
+    /// An external kind whose messages are known.
+    pub(crate) fn shaped(
+        &self,
+        inputs: Vec<InputPort>,
+        output: Layout,
+        initial: Vec<f64>,
+        data: usize,
+    ) -> Self {
+        let mut kind = self.clone();
+        if let Some(build) = &self.external {
+            let (build, ports, sent) = (build.clone(), inputs.clone(), output.clone());
+            kind.build = Arc::new(move |context| build(context, &ports, &sent));
+        }
+        (kind.inputs, kind.output, kind.initial, kind.data) = (inputs, output, initial, data);
+        kind
     }
 
     /// A kind whose nodes step the model `M`, so that they can also be compiled and run in batches. `start` reads a

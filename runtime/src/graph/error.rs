@@ -55,6 +55,14 @@ pub enum GraphError {
         /// All kinds.
         known: String,
     },
+    /// A node that another program runs, and of which the graph does not say what is needed.
+    #[error("node `{node}`: {problem}")]
+    External {
+        /// The node.
+        node: String,
+        /// What is missing, or wrong.
+        problem: String,
+    },
     /// A rate that no node can run at.
     #[error("node `{node}` cannot run at {rate} Hz; a rate lies between {MIN_RATE} and {MAX_RATE} Hz")]
     Rate {

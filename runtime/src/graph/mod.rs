@@ -6,6 +6,7 @@
 
 mod builder;
 mod error;
+mod external;
 mod safe;
 mod spec;
 mod validate;

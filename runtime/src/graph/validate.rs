@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use parallax_model::system::Suggestion;
 
 use super::error::MAX_WINDOW;
+use super::external;
 use super::{
     ConnectionPlan, ConnectionSpec, Graph, GraphError, GraphSpec, GraphWarning, NodePlan, SafeOutput,
 };
@@ -17,7 +18,7 @@ const BACKLOG: f64 = 1.0;
 const MIN_BACKLOG: usize = 16;
 const MAX_BACKLOG: usize = 8192;
 /// Bytes of data that may wait at one place, unless they are of two messages only.
-const WAITING_BYTES: usize = 64 << 20;
+const WAITING_BYTES: usize = 32 << 20;
 
 impl GraphSpec {
     /// Checks the graph against the kinds of node in `registry`, and plans it.
@@ -81,7 +82,7 @@ fn plan_nodes(spec: &GraphSpec, registry: &Registry) -> Result<Vec<NodePlan>, Gr
         if nodes.iter().any(|other| other.name == name) {
             return Err(GraphError::DuplicateNode { name });
         }
-        let kind = registry.get(&node.kind).ok_or_else(|| GraphError::UnknownKind {
+        let kind = external::kind(spec, node, registry)?.ok_or_else(|| GraphError::UnknownKind {
             node: name.clone(),
             kind: node.kind.clone(),
             suggestion: Suggestion::nearest(&node.kind, registry.names()),
@@ -103,10 +104,10 @@ fn plan_nodes(spec: &GraphSpec, registry: &Registry) -> Result<Vec<NodePlan>, Gr
                 known: list(leaves()),
             });
         }
-        let safe = SafeOutput::plan(&name, node.safe.as_ref(), kind)?;
+        let safe = SafeOutput::plan(&name, node.safe.as_ref(), &kind)?;
         nodes.push(NodePlan {
             name,
-            kind: kind.clone(),
+            kind,
             grid,
             computation: node.computation.clone(),
             scheduling: node.scheduling,

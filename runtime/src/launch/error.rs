@@ -88,6 +88,22 @@ pub enum RunError {
         /// What it said, or how it died.
         reason: String,
     },
+    /// A node is of a kind that another program runs, and nobody says which.
+    #[error(
+        "node {node} is run by another program, and none is given for it; name one in `RunOptions::programs`"
+    )]
+    NoProgram {
+        /// The node.
+        node: String,
+    },
+    /// A node that another program runs was to be a thread of this one.
+    #[error(
+        "node {node} is run by another program and cannot be a thread of this one; remove run_as = \"thread\""
+    )]
+    ProgramNeedsProcess {
+        /// The node.
+        node: String,
+    },
     /// Signals cannot be watched.
     #[error("cannot watch for Ctrl-C: {0}")]
     Signals(io::Error),

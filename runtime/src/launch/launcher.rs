@@ -15,7 +15,7 @@ use super::settings::{NodeSettings, Policy, Refused, RunAs};
 
 use super::signals::Signals;
 use super::vitals::Vitals;
-use super::worker::Worker;
+use super::worker::{Program, Worker};
 use super::{RunOptions, Warner, cores, worker_main};
 use crate::channel::{Endpoint, Service, Space};
 use crate::clock::{WallClock, monotonic};
@@ -44,6 +44,7 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
     warnings.extend(worth_knowing);
     heed(refused, options.launch.refused, &mut warnings)?;
     check_private(&graph, &nodes, &options)?;
+    check_programs(&graph, &nodes, &options)?;
     let space = Space::create()?;
     let memory = plan::memory(&graph, options.recording.is_some());
     space.reserve(memory)?;
@@ -78,6 +79,7 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
     let hiring = Hiring {
         command: std::mem::take(&mut options.node_command),
         private: std::mem::take(&mut options.private),
+        programs: std::mem::take(&mut options.programs),
     };
     let hire = |node, stop_only| hire(&graph, &settings, &space, &hiring, node, stop_only);
     let site = Site { graph: &graph, settings: &settings, space: &space, endpoint: &endpoint, hire: &hire };
@@ -180,6 +182,20 @@ fn check_private(graph: &Graph, nodes: &[NodeSettings], options: &RunOptions) ->
     Ok(())
 }
 
+fn check_programs(graph: &Graph, nodes: &[NodeSettings], options: &RunOptions) -> Result<(), RunError> {
+    for (plan, settings) in graph.nodes().iter().zip(nodes) {
+        let node = || plan.name.clone();
+        match options.programs.get(&plan.name) {
+            None if plan.kind.is_external() => return Err(RunError::NoProgram { node: node() }),
+            Some(_) if settings.run_as == RunAs::Thread => {
+                return Err(RunError::ProgramNeedsProcess { node: node() });
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
 /// Creates every channel, so that no node has to wait for another to exist.
 fn create(graph: &Graph, endpoint: &Endpoint, recording: bool) -> Result<Vec<Service>, RunError> {
     let mut services = Vec::new();
@@ -206,7 +222,11 @@ fn hire(
         RunAs::Process => {
             let none = Default::default();
             let private = options.private.get(name).unwrap_or(&none);
-            Worker::process(&options.command, space.path(), name, private, stop_only)
+            let program = match options.programs.get(name) {
+                None => Program::own(&options.command),
+                Some(command) => Program::other(command),
+            };
+            Worker::process(program, space.path(), name, private, stop_only)
         }
         RunAs::Thread => {
             let (graph, settings, run) = (graph.clone(), settings.clone(), space.path().to_path_buf());
@@ -223,6 +243,7 @@ fn hire(
 struct Hiring {
     command: Vec<String>,
     private: BTreeMap<String, BTreeMap<String, String>>,
+    programs: BTreeMap<String, Vec<String>>,
 }
 
 fn describe_clock(clock: WallClock, seed: u64) -> Clock {

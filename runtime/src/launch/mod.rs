@@ -142,6 +142,9 @@ pub struct RunOptions {
     pub signals: bool,
     /// The program's arguments under which it calls [`node_main`].
     pub node_command: Vec<String>,
+    /// Programs that run single nodes in place of this one, by node: each is a command to which what
+    /// [`node_main`] takes is added. Nodes of [external](crate::registry::NodeKind::external) kinds need one.
+    pub programs: BTreeMap<String, Vec<String>>,
     /// How long a node may take to be built, to connect, and to end.
     pub patience: Duration,
     /// Called about twenty times a second while the run goes on; `false` stops the run.
@@ -168,6 +171,7 @@ impl Default for RunOptions {
             spread: true,
             signals: true,
             node_command: vec![NODE_COMMAND.into()],
+            programs: BTreeMap::new(),
             patience: Duration::from_secs(10),
             progress: None,
             warn: None,
@@ -203,6 +207,7 @@ impl std::fmt::Debug for RunOptions {
             .field("recording", &self.recording)
             .field("launch", &self.launch)
             .field("mode", &self.mode)
+            .field("programs", &self.programs)
             .field("spin", &self.spin)
             .field("real_time", &self.real_time)
             .field("spread", &self.spread)

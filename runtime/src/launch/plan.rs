@@ -116,7 +116,7 @@ pub(super) fn data_words(most: usize) -> usize {
 const RECORDER_SLACK: f64 = 15.0;
 
 /// Bytes of data that may wait for the recorder, by node.
-const WAITING_RECORDS: usize = 256 << 20;
+const WAITING_RECORDS: usize = 64 << 20;
 
 /// The channel of a node's records: its steps with their messages, and its losses.
 pub(super) fn records(graph: &Graph, node: usize) -> Topic {

@@ -14,7 +14,7 @@ use super::plan::Settings;
 use super::record::{self, Ledger};
 use super::report::RecordingReport;
 use super::settings::RunAs;
-use super::worker::Worker;
+use super::worker::{Program, Worker};
 use crate::channel::{Endpoint, Space};
 use crate::graph::Graph;
 use crate::recording::{Access, Clock, Fault, RecordingError};
@@ -87,7 +87,13 @@ impl<'a> Recorder<'a> {
         let processes = settings.nodes.iter().any(|node| node.run_as == RunAs::Process);
         let command = command.to_vec();
         let hire: Hire<'a> = Box::new(move || match processes {
-            true => Worker::process(&command, space.path(), record::NAME, &Default::default(), false),
+            true => Worker::process(
+                Program::own(&command),
+                space.path(),
+                record::NAME,
+                &Default::default(),
+                false,
+            ),
             false => {
                 let (graph, settings, run) = (graph.clone(), settings.clone(), space.path().to_path_buf());
                 Worker::thread("recorder", move |stream| {

@@ -31,26 +31,46 @@ enum Body {
     Thread(Option<JoinHandle<()>>),
 }
 
+/// What a process runs.
+#[derive(Debug)]
+pub(super) struct Program(Command);
+
+impl Program {
+    /// This program, with these arguments.
+    pub(super) fn own(arguments: &[String]) -> Self {
+        // Not the path that the program was started by: it may have been rebuilt since, or removed.
+        let mut command = Command::new("/proc/self/exe");
+        if let Some(name) = std::env::args_os().next() {
+            command.arg0(name);
+        }
+        command.args(arguments);
+        Self(command)
+    }
+
+    /// Another one: its path and its arguments.
+    pub(super) fn other(words: &[String]) -> Self {
+        let (path, arguments) =
+            words.split_first().map_or(("", &[][..]), |(path, rest)| (path.as_str(), rest));
+        let mut command = Command::new(path);
+        command.args(arguments);
+        Self(command)
+    }
+}
+
 impl Worker {
-    /// Starts a node as a process of this program.
+    /// Starts a node as a process.
     ///
-    /// `command` is the program's hidden subcommand; the run's directory and the node's name follow it. A process that is to
-    /// stop the node and do nothing else is told so.
+    /// The run's directory and the node's name are added to the program's arguments. A process that is to stop the node and
+    /// do nothing else is told so.
     pub(super) fn process(
-        command: &[String],
+        Program(mut process): Program,
         run: &Path,
         node: &str,
         private: &BTreeMap<String, String>,
         stop_only: bool,
     ) -> io::Result<Self> {
         let (here, there) = UnixStream::pair()?;
-        // Not the path that the program was started by: it may have been rebuilt since, or removed.
-        let mut process = Command::new("/proc/self/exe");
-        if let Some(name) = std::env::args_os().next() {
-            process.arg0(name);
-        }
         let child = process
-            .args(command)
             .arg("--run-dir")
             .arg(run)
             .arg("--node")
