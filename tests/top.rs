@@ -10,7 +10,7 @@ use std::os::fd::OwnedFd;
 use std::process::{Child, ExitStatus, Stdio};
 use std::sync::{Arc, Mutex};
 
-use live::{eventually, finish, interrupt, parallax, start, under_way};
+use live::{eventually, parallax, start, under_way};
 use parallax::runtime::launch::{End, LiveError, LiveRun, NodeState, Phase, Snapshot};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{Winsize, tcgetattr, tcsetwinsize};
@@ -21,7 +21,7 @@ fn what_is_shown_is_what_the_run_reports() {
     let out = folder.path().join("run.mcap");
     // Every step of the agent is late.
     let settings = ["--out", out.to_str().unwrap(), "--set", "agent.deadline=0.000001"];
-    let (mut run, name) = start("pendulum", &settings);
+    let (run, name) = start("pendulum", &settings);
     let live = under_way(&name);
     let output = parallax(&["top", &name, "--json", "--interval", "0.5"]).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -35,12 +35,11 @@ fn what_is_shown_is_what_the_run_reports() {
         let refusal = String::from_utf8(once.stderr).unwrap();
         assert!(once.status.code() == Some(2) && refusal.contains(&*live.name().id), "{refusal}");
     }
-    interrupt(&run);
+    run.interrupt();
     let before = live.sample();
     eventually("the end", || (live.phase() == Phase::Over).then_some(()));
     let last = live.snapshot(&before, &live.sample());
-    assert!(run.wait().is_ok());
-    let report = finish(run);
+    let report = run.finish();
 
     assert_eq!((&*shown.graph, shown.phase, &shown.end), ("pendulum", Phase::Running, &None));
     assert_eq!(shown.launcher.to_string(), name);
@@ -184,11 +183,11 @@ fn the_screen_shows_the_run_and_is_given_back() {
     let before = tcgetattr(&screen.slave).unwrap();
     let top = screen.top(&name);
     screen.shows("camera -> estimator");
-    interrupt(&run);
+    run.interrupt();
     assert_eq!(screen.given_back(top, &before).code(), Some(0));
     screen.shows("somebody stopped it");
     let text = screen.text();
     let after = &text[text.rfind("\x1b[?1049l").unwrap()..];
     assert!(after.contains("has ended after") && after.contains("camera -> estimator"), "{after}");
-    assert_eq!(finish(run).end, End::Signal);
+    assert_eq!(run.finish().end, End::Signal);
 }

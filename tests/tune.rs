@@ -8,7 +8,7 @@ use std::io::{Read, Write};
 use std::os::unix::net::UnixStream;
 use std::path::Path;
 
-use live::{eventually, finish, interrupt, parallax, start, under_way};
+use live::{eventually, parallax, start, under_way};
 use parallax::runtime::launch::{End, Told};
 use parallax::runtime::recording::{Change, ChangeKind, Recording};
 use serde_json::Value;
@@ -92,8 +92,8 @@ fn what_is_set_is_recorded_and_replayed() {
     while endless.write_all(&[b'x'; 65536]).is_ok() {}
     let last = told(&["set", &name, "motor.rated=0.5"]);
     eventually("the next steps", || (told(&["get", &name, "motor"]).step > last.step + 5).then_some(()));
-    interrupt(&run);
-    let report = finish(run);
+    run.interrupt();
+    let report = run.finish();
     assert_eq!(report.end, End::Signal);
 
     let recording = Recording::read(&path).unwrap();
@@ -213,8 +213,8 @@ fn a_node_that_comes_back_is_set_again_and_a_state_is_reset() {
         serde_json::from_slice::<Told>(&output.stdout).ok()
     });
     assert_eq!((value(&read, "proportional"), value(&read, "integral")), (20_000.0, 9_000.0));
-    interrupt(&run);
-    finish(run);
+    run.interrupt();
+    run.finish();
     let recording = Recording::read(&path).unwrap();
     let again: Vec<&Change> = recording.changes.iter().filter(|c| c.by.contains("after a restart")).collect();
     assert_eq!(again.len(), 2, "{:?}", recording.changes);

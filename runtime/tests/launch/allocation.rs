@@ -4,15 +4,19 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 use parallax_runtime::channel::{Endpoint, Space, Topic};
-use parallax_runtime::launch::{Mode, RunOptions, run};
+use parallax_runtime::launch::{Mode, RunOptions, read_node, run, set_parameters};
 use parallax_runtime::node::{Node, NodeError, Step};
 use parallax_runtime::recording::Recording;
+use parallax_runtime::tuning::{Assignment, Parameter, Tuning};
 
 use crate::Test;
 use crate::nodes::{Number, graph, registry};
 use crate::runs::options;
 
-pub(crate) const TESTS: &[Test] = &[("a_step_allocates_only_what_the_transport_does", a_step_allocates)];
+pub(crate) const TESTS: &[Test] = &[
+    ("a_step_allocates_only_what_the_transport_does", a_step_allocates),
+    ("to_set_a_parameter_allocates_nothing_in_the_step", to_set_a_parameter_allocates_nothing),
+];
 
 thread_local! {
     static COUNT: Cell<u64> = const { Cell::new(0) };
@@ -37,13 +41,34 @@ unsafe impl GlobalAlloc for Counting {
 }
 
 /// Sends how often its thread has allocated so far.
-pub(crate) struct Counted;
+#[derive(Default)]
+pub(crate) struct Counted {
+    gain: f64,
+}
 
 impl Node for Counted {
     type Output = Number<f64>;
 
     fn step(&mut self, _: &Step<'_>) -> Result<Number<f64>, NodeError> {
         Ok(Number { value: COUNT.with(Cell::get) as f64 })
+    }
+
+    fn tuning(&mut self) -> Option<&mut dyn Tuning> {
+        Some(self)
+    }
+}
+
+impl Tuning for Counted {
+    fn parameters(&self) -> Vec<Parameter> {
+        vec![Parameter::new("gain", "")]
+    }
+
+    fn value(&self, _: usize) -> f64 {
+        self.gain
+    }
+
+    fn set(&mut self, _: usize, value: f64) {
+        self.gain = value;
     }
 }
 
@@ -92,4 +117,41 @@ fn a_step_allocates() {
         per_step.iter().all(|count| *count <= 2 * each),
         "{per_step:?}, the transport takes {each} a message"
     );
+}
+
+fn to_set_a_parameter_allocates_nothing() {
+    let each = transport(3);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    let mut graph = graph();
+    graph.node_mut("adder").unwrap().kind = "allocations".into();
+    let setting = std::thread::spawn(|| {
+        let (own, patience) = (std::process::id().to_string(), std::time::Duration::from_secs(5));
+        let mut told = Vec::new();
+        // Until the run is over; before it has begun there is none.
+        let start = std::time::Instant::now();
+        while start.elapsed() < std::time::Duration::from_secs(30) {
+            let gain = Assignment { parameter: "gain".into(), value: told.len() as f64 + 0.5, unit: None };
+            match set_parameters(Some(&own), "adder", &[gain], patience) {
+                Ok(done) => told.extend(done.changes),
+                Err(_) if told.is_empty() => std::thread::sleep(std::time::Duration::from_millis(2)),
+                Err(_) => break,
+            }
+            let _ = read_node(Some(&own), "adder", patience);
+        }
+        told
+    });
+    let options = RunOptions { mode: Mode::Threads, ..options(0.7, &path) };
+    let report = run(&graph, &registry(), options).unwrap();
+    assert!(report.clean(), "{report:?}");
+    let told = setting.join().unwrap();
+    let recording = Recording::read(&path).unwrap();
+    // The answer to the last one may not have come any more.
+    assert!(told.len() > 3 && recording.changes.starts_with(&told), "{told:?} {:?}", recording.changes);
+    let messages = &recording.node("adder").unwrap().messages;
+    let counts: Vec<u64> = messages.iter().map(|message| message.payload[0] as u64).collect();
+    let per_step: Vec<u64> = counts.windows(2).skip(5).map(|pair| pair[1] - pair[0]).collect();
+    // A step sends its message and its record, and where something was set the record of that.
+    let most = per_step.iter().max();
+    assert!(most.is_some_and(|most| *most <= 3 * each), "{per_step:?}, the transport takes {each} a message");
 }

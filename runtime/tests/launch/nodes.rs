@@ -244,7 +244,7 @@ pub(crate) fn registry() -> Registry {
             NodeKind::erased(wide(), vec![0.0; 8192], |_| Err(NodeError::failed("never built")))
                 .input_with_layout("source", wide()),
         )
-        .with("allocations", NodeKind::new(|_| Ok(crate::allocation::Counted)).input(SOURCE))
+        .with("allocations", NodeKind::new(|_| Ok(crate::allocation::Counted::default())).input(SOURCE))
         .with(
             "unbuildable",
             NodeKind::new(|_| -> Result<Adder, NodeError> {
