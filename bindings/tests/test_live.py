@@ -6,8 +6,9 @@ import signal
 import subprocess
 import time
 
-import parallax
 import pytest
+
+import parallax
 from conftest import _program
 
 
@@ -49,7 +50,7 @@ def test_a_parameter_is_set_and_read(running):
 def test_what_cannot_be_is_said():
     with pytest.raises(parallax.ParallaxError, match="running"):
         parallax.set_parameter("no-such-run", "motor.rated", 2.0)
-    with pytest.raises(parallax.ParallaxError, match="NODE.PARAMETER"):
+    with pytest.raises(parallax.ParallaxError, match=r"NODE\.PARAMETER"):
         parallax.set_parameter("no-such-run", "motor", 2.0)
     with pytest.raises(parallax.ParallaxError, match="one node only"):
         parallax.set_parameters("no-such-run", {"motor.rated": 2.0, "agent.limit": 1.0})

@@ -32,8 +32,8 @@ def set_parameter(
 ) -> int:
     """Set the parameter `NODE.PARAMETER` of a running graph; give the first step that sees the value.
 
-    `run` is the run's id, the process of its launcher or its graph's name; `None` is the only one that runs. The recording
-    says who set what and before which step. `ParallaxError` says what the node does not take; nothing is changed then.
+    `run` is the run's id, the process of its launcher or its graph's name; `None` is the only one that runs. The
+    recording says who set what and before which step. `ParallaxError` says what the node does not take; nothing is changed then.
     """
     return set_parameters(run, {name: value if unit is None else (value, unit)}, patience=patience)
 
@@ -67,7 +67,7 @@ def node_reading(run: str | None, node: str, *, patience: float = _PATIENCE) -> 
 
 
 def reset_state(run: str | None, node: str, *, patience: float = _PATIENCE) -> int:
-    """Put the state of a node of a running graph back to what it was before its first step; give the first step then."""
+    """Put the state of a node of a running graph back to that before its first step; give the first step then."""
     return _told(_native.reset_state(run, node, patience))["step"]
 
 
