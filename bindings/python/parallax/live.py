@@ -33,7 +33,8 @@ def set_parameter(
     """Set the parameter `NODE.PARAMETER` of a running graph; give the first step that sees the value.
 
     `run` is the run's id, the process of its launcher or its graph's name; `None` is the only one that runs. The
-    recording says who set what and before which step. `ParallaxError` says what the node does not take; nothing is changed then.
+    recording says who set what and before which step. `ParallaxError` says what the node does not take; nothing is
+    changed then.
     """
     return set_parameters(run, {name: value if unit is None else (value, unit)}, patience=patience)
 
