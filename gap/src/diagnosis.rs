@@ -31,7 +31,7 @@ use crate::report::{
     Absorbed, Confusable, FittedEffect, Gap, NotTestable, Overlay, Report, Split, Unexplained,
 };
 use crate::rows::Rows;
-use crate::search::{self, Fit};
+use crate::search::{self, Fit, INEXACT};
 use crate::setup::Setup;
 use crate::shapley;
 use crate::signature::Nuisance;
@@ -131,8 +131,13 @@ pub(crate) fn diagnose_bound(
     let fits = [&found.null, found.answers.leader(&found.null)];
     let doubted = readings::contradicted(&found.setup, &raw, &experiment, &fits);
     if !doubted.is_empty() && !found.setup.stop.asked() {
-        doubted.into_iter().for_each(|output| raw.take_back(output));
-        found = weigh(&raw, &experiment, (0.8, 0.86))?;
+        let mut believed = raw.clone();
+        doubted.into_iter().for_each(|output| believed.take_back(output));
+        let again = weigh(&believed, &experiment, (0.8, 0.86))?;
+        // Readings that all count must not hide a model that predicted them.
+        if again.reaches_noise() || !found.reaches_noise() {
+            (raw, found) = (believed, again);
+        }
     }
     progress(0.86, "lost commands");
     let lost = readings::lost(&found.setup, &experiment, &found.null, &found.answers, options);
@@ -257,14 +262,21 @@ struct Found {
     readings: Vec<ReadingEffect>,
 }
 
+impl Found {
+    /// Whether the leading answer reaches the sensors' noise.
+    fn reaches_noise(&self) -> bool {
+        self.answers.leader(&self.null).shooting_error <= INEXACT
+    }
+}
+
 fn conclude(title: &str, options: &Options, found: Found, lost: Option<LostCommands>) -> Diagnosis {
-    let Found { setup, null, answers, p_value, not_testable, absorbed, mut readings } = found;
+    let Found { setup, null, mut answers, p_value, not_testable, absorbed, mut readings } = found;
     let setup = &setup;
     // Without the effect the machine is predicted from what was sent, with it from what arrived.
     let recorded = lost.as_ref().map(|lost| lost.as_recorded(setup));
     let scored = recorded.as_ref().unwrap_or(setup);
     let system = setup.equations.system();
-    let best = answers.leader(&null);
+    let best = &answers.leader(&null).clone();
     let named = answers.answers.first().map_or(0.0, |a| a.probability) > answers.unexplained;
     let detected = p_value < 0.01 && answers.no_gap < 0.5;
     readings.extend(readings::scatter(setup, if detected && named { best } else { &null }));
@@ -312,13 +324,16 @@ fn conclude(title: &str, options: &Options, found: Found, lost: Option<LostComma
         if detected && named { split(setup, &null, best, &row(&null), with_effect) } else { Vec::new() };
     let how_far = rows.how_far(setup.horizon, split, options.seed);
     let share = if detected { rows.left() } else { 0.0 };
-    let unexplained = Unexplained { probability: answers.unexplained, share };
     let overlays = (0..setup.experiment.wraps.len())
         .map(|o| quantify::overlay(setup, o, refitted, with_effect))
         .collect();
 
     let named_one = (detected, detected && named);
     let mut causes = Models::new(setup, &null, &answers, &rows, named_one, lost.as_ref()).causes(&readings);
+    if detected && named && causes.is_empty() && lost.is_none() {
+        answers.doubt(how_far.closed_by_effect.high);
+    }
+    let unexplained = Unexplained { probability: answers.unexplained, share };
     if let Some(lost) = lost {
         readings.push(lost.effect.clone());
         causes.push(lost.effect);

@@ -33,6 +33,12 @@ const SIGNIFICANT: f64 = 3.0;
 /// Difference of −2 log evidence from which two effects of like signature are told apart all the same.
 const DECISIVE: f64 = 20.0;
 
+/// Probability, at most, that a named effect is none of the cause because predictions on held-out time stay off; and the
+/// share of the gap left there at which two thirds of it are reached. On development data an effect that closed 98 %
+/// was the cause in 85 of 100 cases, one that closed 90 to 98 % in 75, one that closed less in 45.
+const DOUBT: f64 = 0.45;
+const LEFT: f64 = 0.1;
+
 /// One answer: a leading effect and those that cannot be told from it.
 #[derive(Clone, Debug)]
 pub struct Answer {
@@ -75,6 +81,19 @@ impl Posterior {
     #[must_use]
     pub fn cost(&self, fit: &Fit) -> f64 {
         self.judge.cost(fit)
+    }
+
+    /// Takes probability from the named answers where the leader closes no more than this share of the gap on held-out
+    /// time, which no evidence was taken from. What is named stays named: a machine is never quite as in the library.
+    pub fn doubt(&mut self, closed: f64) {
+        let Some(first) = self.answers.first().map(|a| a.probability) else { return };
+        let named: f64 = self.answers.iter().map(|a| a.probability).sum();
+        let share = doubted(first, named, self.unexplained, closed);
+        for answer in &mut self.answers {
+            answer.probability *= 1.0 - share;
+            answer.members.iter_mut().for_each(|(_, probability, _)| *probability *= 1.0 - share);
+        }
+        self.unexplained += share * named;
     }
 
     /// The best residual: on top of the leading answer, or alone.
@@ -210,6 +229,16 @@ pub fn weigh(
     }
 }
 
+/// The share of the `named` answers' probability that goes to none of them where the `first`, whose probability stays
+/// the larger, closes no more than a share of the gap.
+fn doubted(first: f64, named: f64, unexplained: f64, closed: f64) -> f64 {
+    let left = (1.0 - closed).max(0.0);
+    let most = 0.9 * (first - unexplained) / (first + named);
+    // Not a number where there was nothing to close.
+    let share = (DOUBT * (1.0 - (-left / LEFT).exp())).min(most);
+    if share > 0.0 { share } else { 0.0 }
+}
+
 /// Keeps the best of an effect's forms at a place, from fits in the order of their cost. Gives how many forms each had:
 /// they share the prior of the effect.
 fn best_forms(fits: &mut Vec<Fit>) -> Vec<f64> {
@@ -295,5 +324,22 @@ fn lead_with_the_simplest(
         .and_then(|named| class.iter().position(|&k| k == named));
     if let Some(named) = named {
         class[..=named].rotate_right(1);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::doubted;
+
+    #[test]
+    fn doubt_grows_with_what_is_left_and_never_takes_the_lead() {
+        let share = |closed: f64| doubted(0.9, 0.98, 0.01, closed);
+        assert_eq!((share(1.0), share(1.2), share(f64::NAN)), (0.0, 0.0, 0.0));
+        assert!(share(0.99) < 0.05 && share(0.9) > 0.25 && share(0.5) > share(0.9) && share(-9.0) <= 0.45);
+        for unexplained in [0.0, 0.1, 0.3, 0.39] {
+            let (first, named) = (0.4, 1.0 - unexplained);
+            let share = doubted(first, named, unexplained, 0.0);
+            assert!((1.0 - share) * first > unexplained + share * named);
+        }
     }
 }

@@ -45,6 +45,7 @@ pub struct Suspicious {
 }
 
 /// What was found of one output.
+#[derive(Clone, Debug)]
 struct Judged {
     effects: Vec<ReadingEffect>,
     /// Per reading of the output.
@@ -52,6 +53,7 @@ struct Judged {
 }
 
 /// What the raw readings of all outputs say.
+#[derive(Clone, Debug)]
 pub(crate) struct Raw(Vec<Judged>);
 
 impl Raw {
