@@ -15,6 +15,7 @@ use pyo3::types::{PyDict, PyList};
 use crate::arrays::list;
 use crate::error::raise;
 use crate::program::NativeProgram;
+use crate::worker::PYTHON;
 
 /// A kind of node that is written in Python: its name, its inputs (port, message, leaves), its output (message, leaves)
 /// and the leaves of its initial message.
@@ -164,6 +165,10 @@ fn with_python(mut registry: Registry, kinds: Vec<PythonKind>) -> PyResult<Regis
             .into_iter()
             .fold(kind, |kind, (port, name, leaves)| kind.input_with_layout(port, Layout { name, leaves }));
         registry.insert(name, kind);
+    }
+    if registry.get(PYTHON).is_none() {
+        let run = "it is written in Python: `parallax run` steps it in real time, and a compiled graph takes it by name";
+        registry.insert(PYTHON, NodeKind::external(move |_, _, _| Err(NodeError::failed(run))));
     }
     Ok(registry)
 }

@@ -14,6 +14,7 @@ mod live;
 mod program;
 mod recording;
 mod system;
+mod worker;
 
 use pyo3::prelude::*;
 
@@ -36,6 +37,8 @@ mod _native {
     use crate::recording::{load, trajectories};
     #[pymodule_export]
     use crate::system::system;
+    #[pymodule_export]
+    use crate::worker::work;
 
     use super::{Bound, PyModule, PyModuleMethods, PyResult};
 

@@ -71,9 +71,18 @@ pub struct NodeKind {
     external: Option<Arc<BuildExternal>>,
 }
 
+/// An input of a node of another program, as its graph connects it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ExternalInput {
+    /// The input.
+    pub port: InputPort,
+    /// How many messages a step sees.
+    pub window: usize,
+}
+
 /// Builds a node of another program from its context, its inputs and its output.
 pub type BuildExternal =
-    dyn Fn(&NodeContext, &[InputPort], &Layout) -> Result<Box<dyn ErasedNode>, NodeError> + Send + Sync;
+    dyn Fn(&NodeContext, &[ExternalInput], &Layout) -> Result<Box<dyn ErasedNode>, NodeError> + Send + Sync;
 
 impl NodeKind {
     /// A kind whose nodes are built by `build`. It has no inputs yet, is deterministic, and its initial message is the
@@ -128,7 +137,7 @@ impl NodeKind {
     ///
     /// It counts as [not deterministic](Self::not_deterministic): its messages are taken from a recording, not made again.
     pub fn external(
-        build: impl Fn(&NodeContext, &[InputPort], &Layout) -> Result<Box<dyn ErasedNode>, NodeError>
+        build: impl Fn(&NodeContext, &[ExternalInput], &Layout) -> Result<Box<dyn ErasedNode>, NodeError>
         + Send
         + Sync
         + 'static,
@@ -148,7 +157,7 @@ impl NodeKind {
     /// An external kind whose messages are known.
     pub(crate) fn shaped(
         &self,
-        inputs: Vec<InputPort>,
+        inputs: Vec<ExternalInput>,
         output: Layout,
         initial: Vec<f64>,
         data: usize,
@@ -158,7 +167,8 @@ impl NodeKind {
             let (build, ports, sent) = (build.clone(), inputs.clone(), output.clone());
             kind.build = Arc::new(move |context| build(context, &ports, &sent));
         }
-        (kind.inputs, kind.output, kind.initial, kind.data) = (inputs, output, initial, data);
+        kind.inputs = inputs.into_iter().map(|input| input.port).collect();
+        (kind.output, kind.initial, kind.data) = (output, initial, data);
         kind
     }
 

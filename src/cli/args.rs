@@ -105,7 +105,7 @@ pub(crate) fn graph_spec(graph: &str, changes: &[NodeChange], play: &[Play]) -> 
     }
     for Play { node, file } in play {
         let commands = CommandFile::read(file).input()?;
-        playback::put(&mut spec, node, &commands, &parallax_nodes::registry())
+        playback::put(&mut spec, node, &commands, &crate::cli::python::registry())
             .with_context(|| format!("--play {node}={}", file.display()))
             .map_err(Failure::input)?;
     }
@@ -124,7 +124,7 @@ fn read_graph(path: &Path) -> Result<GraphSpec, Failure> {
 
 /// The graph checked against the known kinds of node; its warnings are printed.
 pub(crate) fn validate(spec: &GraphSpec) -> Result<Graph, Failure> {
-    let graph = spec.validate(&parallax_nodes::registry()).input()?;
+    let graph = spec.validate(&crate::cli::python::registry()).input()?;
     for warning in graph.warnings() {
         eprintln!("warning: {warning}");
     }

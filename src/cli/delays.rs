@@ -37,7 +37,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
             "{path} is an imported log: it has signals and no steps whose delays could be measured"
         )));
     }
-    let fitted = fitted_graph(&recording, &parallax_nodes::registry())
+    let fitted = fitted_graph(&recording, &crate::cli::python::registry())
         .with_context(|| format!("the graph of {path}"))
         .map_err(Failure::input)?;
     if fitted.fits.is_empty() {

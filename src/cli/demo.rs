@@ -65,7 +65,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         progress: Some(run::watch(&bar)),
         ..RunOptions::default()
     };
-    let report = launch::run(&spec, &parallax_nodes::registry(), options).map_err(run::sort)?;
+    let report = launch::run(&spec, &crate::cli::python::registry(), options).map_err(run::sort)?;
     bar.finish_and_clear();
     let outcome = run::ended(&report)?;
     if outcome != Outcome::Done {
@@ -75,7 +75,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     say(format!("   {steps} steps, recorded to {}", path.display()));
 
     let recording = Recording::read(&path).runtime()?;
-    let replayed = replay(&recording, &parallax_nodes::registry(), &ReplayOptions::default()).runtime()?;
+    let replayed =
+        replay(&recording, &crate::cli::python::registry(), &ReplayOptions::default()).runtime()?;
     say(format!(
         "2. Replayed: {} steps on the {} messages that they consumed; {}.",
         replayed.steps(),
@@ -130,7 +131,7 @@ fn world_repeats(recording: &Recording, effect: hidden::HiddenEffect) -> Result<
                 .flatten()
         })),
     };
-    Ok(replay(recording, &parallax_nodes::registry(), &options).runtime()?.is_exact())
+    Ok(replay(recording, &crate::cli::python::registry(), &options).runtime()?.is_exact())
 }
 
 /// Whether the leading answer names the flaw, or a class that holds it.

@@ -201,7 +201,7 @@ impl Loaded {
         task: Option<&Task>,
         out: &Path,
     ) -> Result<Report, Failure> {
-        let registry = parallax_nodes::registry();
+        let registry = crate::cli::python::registry();
         let graph = self.graph.as_ref().map(|recording| (recording, &registry));
         let closed_loop = task
             .map(|task| closed_loop::prepare(task, &self.system, &self.logs, graph, options.horizon))
@@ -251,7 +251,7 @@ impl Loaded {
     fn look_at_the_graph(&self, report: &mut Report) {
         let Some(recording) = &self.graph else { return };
         report.timing = Some(timing::timing(recording));
-        match nodes::nodes(recording, &parallax_nodes::registry()) {
+        match nodes::nodes(recording, &crate::cli::python::registry()) {
             Ok(nodes) => report.nodes = Some(nodes),
             Err(error) => eprintln!("warning: the nodes cannot be replayed alone: {error}"),
         }

@@ -12,6 +12,7 @@ mod import;
 mod info;
 mod latency;
 mod output;
+mod python;
 mod replay;
 mod run;
 mod sim;
@@ -137,7 +138,9 @@ pub(crate) fn main() -> ExitCode {
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
 
     let result = match cli.command {
-        Command::Node { arguments } => return node_main(arguments.into_iter(), &parallax_nodes::registry()),
+        Command::Node { arguments } => {
+            return node_main(arguments.into_iter(), &crate::cli::python::registry());
+        }
         Command::LatencyNode { arguments } => {
             return parallax_runtime::latency::node_main(arguments.into_iter());
         }

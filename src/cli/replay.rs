@@ -32,7 +32,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
             arguments.recording.display()
         )));
     }
-    let report = replay(&recording, &parallax_nodes::registry(), &ReplayOptions::default()).input()?;
+    let report = replay(&recording, &crate::cli::python::registry(), &ReplayOptions::default()).input()?;
     // Nothing compared is not the same as nothing different.
     if report.steps() == 0 {
         return Err(Failure::input(anyhow!(

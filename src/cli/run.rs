@@ -1,6 +1,7 @@
 //! `parallax run`: a graph in real time, one process for each node.
 
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use anyhow::anyhow;
 use clap::Args;
@@ -12,7 +13,7 @@ use parallax_runtime::time::{Nanos, to_seconds};
 
 use super::args::{NodeChange, Play, duration, graph_spec, make_parent};
 use super::failure::{Failure, Outcome, Sort};
-use super::output;
+use super::{output, python};
 
 #[derive(Args)]
 pub(crate) struct Arguments {
@@ -77,19 +78,27 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         make_parent(out)?;
     }
     let bar = bar(&spec.name, arguments.duration);
+    let launch = launch_spec(arguments)?;
+    let folder = Path::new(&arguments.graph).parent().filter(|_| graph_is_a_file(&arguments.graph));
+    let programs = python::programs(&spec, &launch, folder).map_err(Failure::input)?;
+    let defaults = RunOptions::default();
+    // An interpreter takes seconds to load its packages and to compile.
+    let patience = if programs.is_empty() { defaults.patience } else { Duration::from_secs(120) };
     let options = RunOptions {
         duration: arguments.duration,
         seed: arguments.seed,
         recording: out.clone(),
         rotate: arguments.rotate,
-        launch: launch_spec(arguments)?,
+        launch,
+        programs,
+        patience,
         spread: !arguments.no_spread,
         progress: Some(watch(&bar)),
         warn: Some(warn(&bar)),
         events: Some(tell(&bar)),
-        ..RunOptions::default()
+        ..defaults
     };
-    let report = launch::run(&spec, &parallax_nodes::registry(), options).map_err(sort)?;
+    let report = launch::run(&spec, &crate::cli::python::registry(), options).map_err(sort)?;
     bar.finish_and_clear();
     if arguments.json {
         output::json(&report)?;
@@ -145,11 +154,15 @@ fn rotate(text: &str) -> Result<Rotate, String> {
     }
 }
 
+/// Whether a graph is a file, and not one that comes with Parallax.
+fn graph_is_a_file(graph: &str) -> bool {
+    parallax_nodes::graph(graph).is_none()
+}
+
 /// The launch settings: those of the file, changed by the flags.
 fn launch_spec(arguments: &Arguments) -> Result<LaunchSpec, Failure> {
     let beside = || Some(Path::new(&arguments.graph).with_file_name("launch.toml"));
-    let graph_is_a_file = parallax_nodes::graph(&arguments.graph).is_none();
-    let found = beside().filter(|path| graph_is_a_file && path.is_file());
+    let found = beside().filter(|path| graph_is_a_file(&arguments.graph) && path.is_file());
     let mut launch = match arguments.launch.clone().or(found) {
         Some(path) => LaunchSpec::read(&path).input()?,
         None => LaunchSpec::default(),

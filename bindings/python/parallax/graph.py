@@ -196,6 +196,7 @@ def _open(source: str | os.PathLike[str] | Mapping[str, Any]) -> _native.Graph:
 def _python_kinds(spec: Mapping[str, Any]) -> list[tuple[str, list[Any], tuple[str, list[str]], Any]]:
     """The kinds that no Rust crate brings, with the inputs and messages that the graph implies."""
     known = _native.kinds()
+    spec = {**spec, "node": [node for node in spec.get("node", ()) if node["kind"] != "python"]}
     kind_of = {node["name"]: node["kind"] for node in spec.get("node", ())}
     connections = [(edge["from"], edge["to"], edge.get("port") or edge["from"]) for edge in spec.get("connection", ())]
     outputs: dict[str, tuple[str, list[str]]] = {}

@@ -39,9 +39,11 @@ class Port:
 class Message:
     """One message in a window. Reading an attribute reads it from the graph; what is not read costs nothing."""
 
-    def __init__(self, stamp: Callable[[str], Scalar], tree: Callable[[], Tree]) -> None:
+    def __init__(self, stamp: Callable[[str], Scalar], tree: Callable[[], Tree], data: bytes = b"") -> None:
         self._stamp = stamp
         self._tree = tree
+        self.data = data
+        """Its bytes beside the payload, such as those of an image; only in real time."""
 
     @property
     def seq(self) -> Scalar:

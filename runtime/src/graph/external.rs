@@ -11,7 +11,7 @@ use serde::Deserialize;
 
 use super::{ConnectionSpec, GraphError, GraphSpec, NodeSpec};
 use crate::node::Layout;
-use crate::registry::{InputPort, NodeKind, Registry};
+use crate::registry::{ExternalInput, InputPort, NodeKind, Registry};
 
 /// What the parameters of an external node say of its messages.
 #[derive(Debug, Deserialize)]
@@ -41,7 +41,7 @@ pub(super) fn kind(
         return Ok(Some(kind.clone()));
     }
     let Sent { layout, data } = sent(spec, node, registry)?;
-    let mut inputs: Vec<InputPort> = Vec::new();
+    let mut inputs: Vec<ExternalInput> = Vec::new();
     for connection in spec.connections.iter().filter(|connection| connection.to == node.name) {
         // A sender that is not there is told of where connections are checked.
         let Some(sender) = spec.nodes.iter().find(|other| other.name == connection.from) else { continue };
@@ -50,8 +50,9 @@ pub(super) fn kind(
             Some(_) => sent(spec, sender, registry)?.layout,
             None => continue,
         };
-        if !inputs.iter().any(|input| input.name == connection.port()) {
-            inputs.push(InputPort { name: connection.port().to_owned(), layout });
+        if !inputs.iter().any(|input| input.port.name == connection.port()) {
+            let port = InputPort { name: connection.port().to_owned(), layout };
+            inputs.push(ExternalInput { port, window: connection.window });
         }
     }
     let initial = initial(node, &layout)?;

@@ -212,6 +212,9 @@ pub struct NodeLaunch {
     /// Its safe output; goes before the graph's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub safe: Option<BTreeMap<String, SafeValue>>,
+    /// The interpreter of a node that is written in another language: a path, or a name that is looked for in `PATH`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub interpreter: Option<PathBuf>,
 }
 
 /// The settings of one node, resolved. The default is what holds where nothing is said.

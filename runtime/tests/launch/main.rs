@@ -11,6 +11,7 @@ mod data;
 mod failures;
 mod faults;
 mod nodes;
+mod programs;
 mod recorder;
 mod resources;
 mod runs;
@@ -64,6 +65,7 @@ fn main() -> ExitCode {
         wall::TESTS,
         allocation::TESTS,
         data::TESTS,
+        programs::TESTS,
     ]
     .concat();
     #[cfg(feature = "conformance")]

@@ -205,7 +205,7 @@ pub(crate) fn registry() -> Registry {
     let known = parallax_runtime::conformance::registry();
     #[cfg(not(feature = "conformance"))]
     let known = Registry::new();
-    crate::data::kinds(known)
+    crate::programs::kinds(crate::data::kinds(known))
         .with("counter", NodeKind::new(|context| Ok(Counter { trouble: context.parameters()? })))
         .with("wall", NodeKind::new(|_| Ok(crate::wall::Wall)))
         .with("place", NodeKind::new(|_| Ok(Where)))

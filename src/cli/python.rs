@@ -1,0 +1,80 @@
+//! Nodes that are written in Python: each is a process of its own, in an interpreter with the package `parallax`.
+//!
+//! Nothing of Python is needed for graphs without such nodes, nor to read or replay a recording of one with them.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::anyhow;
+use parallax_runtime::graph::GraphSpec;
+use parallax_runtime::launch::LaunchSpec;
+use parallax_runtime::node::NodeError;
+use parallax_runtime::registry::{NodeKind, Registry};
+
+/// The kind of these nodes.
+const PYTHON: &str = "python";
+/// Finds the package without loading it.
+const LOOK: &str = "import importlib.util, sys; sys.exit(importlib.util.find_spec('parallax') is None)";
+
+/// The kinds of node that come with Parallax, and those written in Python.
+pub(crate) fn registry() -> Registry {
+    let kind = NodeKind::external(|_, _, _| {
+        Err(NodeError::failed("it is written in Python, and runs in `parallax run` only"))
+    });
+    parallax_nodes::registry().with(PYTHON, kind)
+}
+
+/// The commands that run the nodes of a graph that are written in Python. Modules are also looked for in `folder`.
+///
+/// # Errors
+///
+/// When there is no interpreter, or it has no package `parallax`.
+pub(crate) fn programs(
+    spec: &GraphSpec,
+    launch: &LaunchSpec,
+    folder: Option<&Path>,
+) -> anyhow::Result<BTreeMap<String, Vec<String>>> {
+    let mut programs = BTreeMap::new();
+    let mut looked_at: Vec<PathBuf> = Vec::new();
+    for node in spec.nodes.iter().filter(|node| node.kind == PYTHON) {
+        let given = launch.nodes.get(&node.name).and_then(|own| own.interpreter.as_ref());
+        let interpreter = interpreter(given.or(launch.defaults.interpreter.as_ref()));
+        if !looked_at.contains(&interpreter) {
+            check(&interpreter, &node.name)?;
+            looked_at.push(interpreter.clone());
+        }
+        let mut command = vec![interpreter.display().to_string(), "-m".into(), "parallax.worker".into()];
+        if let Some(folder) = folder {
+            command.extend(["--path".into(), std::path::absolute(folder)?.display().to_string()]);
+        }
+        programs.insert(node.name.clone(), command);
+    }
+    Ok(programs)
+}
+
+/// The interpreter: the one that is asked for, that of the active virtual environment, or the system's.
+fn interpreter(given: Option<&PathBuf>) -> PathBuf {
+    let environment = || std::env::var_os("VIRTUAL_ENV").map(|path| PathBuf::from(path).join("bin/python"));
+    given.cloned().or_else(environment).unwrap_or_else(|| "python3".into())
+}
+
+fn check(interpreter: &Path, node: &str) -> anyhow::Result<()> {
+    let name = interpreter.display();
+    let looked = Command::new(interpreter).args(["-c", LOOK]).stdin(Stdio::null()).output();
+    let advice = "give one in the launch.toml, [defaults] interpreter = \"/path/to/python\", or activate its environment";
+    match looked {
+        Err(error) => {
+            Err(anyhow!("node {node} is written in Python, and {name} cannot be started ({error}); {advice}"))
+        }
+        Ok(output) if !output.status.success() => {
+            let said = String::from_utf8_lossy(&output.stderr);
+            let said = said.trim().lines().last().map(|line| format!(" ({line})")).unwrap_or_default();
+            Err(anyhow!(
+                "node {node} is written in Python, and {name} has no package `parallax`{said}; install it there \
+                 (pip install ./bindings), or {advice}"
+            ))
+        }
+        Ok(_) => Ok(()),
+    }
+}
