@@ -4,20 +4,10 @@
 //! Steps are taken in units of each parameter's scale.
 
 use nalgebra::{DMatrix, DVector};
+pub use parallax_model::fit::Local;
 use parallax_runtime::delay::special::normal_cdf;
 
 use crate::hypothesis::Fitted;
-
-/// A loss around one point: its value and its Gauss–Newton model, all without the priors.
-#[derive(Clone, Debug)]
-pub struct Local {
-    /// The loss: −2 log likelihood.
-    pub cost: f64,
-    /// Half its Hessian, JᵀJ of the whitened residuals by θ, p × p row by row.
-    pub information: Vec<f64>,
-    /// Half its gradient, Jᵀe.
-    pub gradient: Vec<f64>,
-}
 
 /// Where a minimisation ended.
 #[derive(Clone, Debug)]
@@ -115,7 +105,7 @@ fn with_priors(fitted: &[Fitted], theta: &[f64], local: &Local) -> (DMatrix<f64>
     (hessian, gradient)
 }
 
-/// A damped Newton step, parameters held where they rest on a bound and the slope points outside.
+/// A damped Newton step within the bounds of the fitted parameters.
 fn bounded_step(
     fitted: &[Fitted],
     theta: &[f64],
@@ -123,30 +113,9 @@ fn bounded_step(
     gradient: &DVector<f64>,
     damping: f64,
 ) -> Option<Vec<f64>> {
-    let free: Vec<usize> = (0..fitted.len())
-        .filter(|&i| {
-            let f = &fitted[i];
-            !((theta[i] <= f.low && gradient[i] > 0.0) || (theta[i] >= f.high && gradient[i] < 0.0))
-        })
-        .collect();
-    let mut matrix = DMatrix::zeros(free.len(), free.len());
-    let mut right = DVector::zeros(free.len());
-    for (a, &i) in free.iter().enumerate() {
-        for (b, &j) in free.iter().enumerate() {
-            matrix[(a, b)] = hessian[(i, j)] * fitted[i].scale * fitted[j].scale;
-        }
-        right[a] = -gradient[i] * fitted[i].scale;
-    }
-    let largest = matrix.diagonal().max().max(1e-12);
-    for a in 0..free.len() {
-        matrix[(a, a)] += damping * matrix[(a, a)].max(1e-9 * largest);
-    }
-    let solution = matrix.cholesky()?.solve(&right);
-    let mut step = vec![0.0; fitted.len()];
-    for (a, &i) in free.iter().enumerate() {
-        step[i] = solution[a] * fitted[i].scale;
-    }
-    step.iter().all(|d| d.is_finite()).then_some(step)
+    let each = |of: fn(&Fitted) -> f64| fitted.iter().map(of).collect::<Vec<f64>>();
+    let (low, high, scale) = (each(|f| f.low), each(|f| f.high), each(|f| f.scale));
+    parallax_model::fit::bounded_step([&low, &high, &scale], theta, hessian, gradient, damping)
 }
 
 impl Minimum {
