@@ -128,13 +128,14 @@ pub struct Augmentation<'a> {
     graph: &'a Graph,
     dropped: Vec<String>,
     nodes: Vec<(NodeSpec, f64)>,
+    recast: Vec<NodeSpec>,
     connections: Vec<(ConnectionSpec, EdgeDelay)>,
 }
 
 impl<'a> Augmentation<'a> {
     /// Nothing changed yet.
     pub fn new(graph: &'a Graph) -> Self {
-        Self { graph, dropped: Vec::new(), nodes: Vec::new(), connections: Vec::new() }
+        Self { graph, dropped: Vec::new(), nodes: Vec::new(), recast: Vec::new(), connections: Vec::new() }
     }
 
     /// Drops a node with all its connections.
@@ -150,6 +151,14 @@ impl<'a> Augmentation<'a> {
     #[must_use]
     pub fn node(mut self, node: NodeSpec, phase: f64) -> Self {
         self.nodes.push((node, phase));
+        self
+    }
+
+    /// Gives a node another kind or other parameters. It steps when it did, and what it saw of connections that stay is what
+    /// it saw.
+    #[must_use]
+    pub fn recast(mut self, node: NodeSpec) -> Self {
+        self.recast.push(node);
         self
     }
 
@@ -203,11 +212,14 @@ impl<'a> Augmentation<'a> {
     /// The new graph as data.
     fn spec(&self) -> Result<GraphSpec, AugmentError> {
         let mut spec = self.graph.spec().clone();
-        for name in &self.dropped {
+        for name in self.dropped.iter().chain(self.recast.iter().map(|node| &node.name)) {
             if self.graph.index(name).is_none() {
                 let known: Vec<&str> = self.graph.nodes().iter().map(|node| node.name.as_str()).collect();
                 return Err(AugmentError::NoNode { node: name.clone(), known: known.join(", ") });
             }
+        }
+        for node in &self.recast {
+            spec.nodes.iter_mut().filter(|old| old.name == node.name).for_each(|old| old.clone_from(node));
         }
         spec.nodes.retain(|node| !self.dropped.contains(&node.name));
         spec.connections

@@ -6,7 +6,8 @@
 //! for bit, and holds the recorded schedule against the rules; a [`ReplayReport`] says what it found.
 //!
 //! An [`Episode`] is the timing of a run alone: [`generate`] draws one without running a node, [`augment`] puts simulator
-//! nodes into one, and [`compiled`] turns a graph and its episodes into tables that accelerators run.
+//! nodes into one, and [`compiled`] turns a graph and its episodes into tables that accelerators run. [`identify`](mod@identify)
+//! finds parameters, first states and hidden delays from recordings.
 //!
 //! ```
 //! use parallax_model::tree::Tree;
@@ -63,6 +64,7 @@ pub mod episode;
 mod event;
 mod executor;
 mod generate;
+pub mod identify;
 mod replay;
 pub mod supergraph;
 mod trajectory;

@@ -4,6 +4,7 @@ use std::fmt::Debug;
 use std::sync::atomic::{AtomicU8, Ordering};
 
 use super::{F32x32, F64x16};
+use crate::dual::Dual;
 use crate::scalar::Scalar;
 
 /// The registers of an instruction set, in which a [`Kernel`] computes. Only [`Level::run`] hands them out.
@@ -94,6 +95,20 @@ impl InMemory for f64 {
     }
     #[inline(always)]
     fn registers_mut<S: Simd>(lanes: &mut [Self]) -> &mut [f64] {
+        lanes
+    }
+}
+
+/// One number with its gradient, whose entries the compiler puts into registers.
+impl<const N: usize> InMemory for Dual<N> {
+    type On<S: Simd> = Dual<N>;
+
+    #[inline(always)]
+    fn registers<S: Simd>(lanes: &[Self]) -> &[Dual<N>] {
+        lanes
+    }
+    #[inline(always)]
+    fn registers_mut<S: Simd>(lanes: &mut [Self]) -> &mut [Dual<N>] {
         lanes
     }
 }

@@ -1,7 +1,7 @@
 //! Models of which only the shape is known.
 
 use super::blocks::{BlockKernel, BlockStep};
-use super::{FlatInputs, FlatModel, NodeStep, PortShape, Scratch};
+use super::{Directions, FlatInputs, FlatModel, NodeStep, PortShape, Scratch};
 use crate::lanes::{F32x32, F64x16, Level};
 use crate::program::Program;
 use crate::scalar::Scalar;
@@ -40,6 +40,12 @@ pub trait ErasedModel: Send + Sync {
     ///
     /// As [`prepare_f64`](Self::prepare_f64).
     fn prepare_f32x32(&self, params: &[F32x32], prepared: &mut [F32x32]);
+    /// As [`prepare_f64`](Self::prepare_f64), with derivatives.
+    ///
+    /// # Panics
+    ///
+    /// As [`prepare_f64`](Self::prepare_f64).
+    fn prepare_dual(&self, params: &[Directions], prepared: &mut [Directions]);
 
     /// The model as a program, in the flat form of the [module](super), for these ports.
     fn program(&self, ports: &[PortShape]) -> Program;
@@ -78,6 +84,13 @@ pub trait ErasedModel: Send + Sync {
     ///
     /// As [`step_blocks_f64`](Self::step_blocks_f64).
     fn step_blocks_f32x32(&self, step: &mut BlockStep<'_, F32x32>, scratch: &mut Scratch<F32x32>);
+
+    /// As [`step_blocks_f64`](Self::step_blocks_f64), with exact derivatives in eight directions.
+    ///
+    /// # Panics
+    ///
+    /// As [`step_blocks_f64`](Self::step_blocks_f64).
+    fn step_blocks_dual(&self, step: &mut BlockStep<'_, Directions>, scratch: &mut Scratch<Directions>);
 }
 
 impl<M: FlatModel> ErasedModel for M {
@@ -106,6 +119,9 @@ impl<M: FlatModel> ErasedModel for M {
         FlatModel::prepare(self, params, prepared);
     }
     fn prepare_f32x32(&self, params: &[F32x32], prepared: &mut [F32x32]) {
+        FlatModel::prepare(self, params, prepared);
+    }
+    fn prepare_dual(&self, params: &[Directions], prepared: &mut [Directions]) {
         FlatModel::prepare(self, params, prepared);
     }
 
@@ -157,6 +173,10 @@ impl<M: FlatModel> ErasedModel for M {
     }
 
     fn step_blocks_f32x32(&self, step: &mut BlockStep<'_, F32x32>, scratch: &mut Scratch<F32x32>) {
+        Level::widest().run(BlockKernel { model: self, step, scratch });
+    }
+
+    fn step_blocks_dual(&self, step: &mut BlockStep<'_, Directions>, scratch: &mut Scratch<Directions>) {
         Level::widest().run(BlockKernel { model: self, step, scratch });
     }
 }

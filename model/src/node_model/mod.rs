@@ -48,8 +48,13 @@ pub use blocks::{BlockPort, BlockStamps, BlockStep, BlockStore};
 pub use erased::ErasedModel;
 pub use flat::{FlatInputs, FlatModel, Scratch, Typed};
 
+use crate::dual::Dual;
 use crate::scalar::Scalar;
 use crate::tree::Tree;
+
+/// A number with its derivatives in eight directions at once: what an [`ErasedModel`] is differentiated with. Eight fill
+/// a register of the widest machines; more directions are further blocks.
+pub type Directions = Dual<8>;
 
 /// A node's mathematics: pure, generic over the scalar. See the [module](self).
 pub trait NodeModel: 'static {

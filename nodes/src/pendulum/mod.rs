@@ -16,6 +16,8 @@ pub mod hidden;
 mod messages;
 pub mod motor;
 pub mod plant;
+pub mod sight;
+pub mod simulator;
 pub mod world;
 
 use std::f64::consts::{PI, TAU};
@@ -60,6 +62,8 @@ fn everything_but_the_world(registry: Registry) -> Registry {
         .with("pendulum/agent", agent::kind())
         .with("pendulum/motor", motor::kind())
         .with("pendulum/plant", plant::kind())
+        .with("pendulum/sight", sight::kind())
+        .with("pendulum/simulator", simulator::kind())
         .with("pendulum/pid", crate::pid::kind::<Angle, Voltage>())
         .with("pendulum/policy", crate::policy::kind::<Estimate, Voltage>())
 }

@@ -52,6 +52,29 @@ pub struct Environments<'a> {
     /// Per connection, `[environment]`; empty where the delay is not trainable.
     pub(super) alphas: Vec<Vec<f64>>,
     pub(super) given: Vec<Option<Given<'a>>>,
+    /// Whether models draw no noise.
+    pub(super) quiet: bool,
+    /// What each environment is differentiated by; empty where nothing is.
+    pub(super) slopes: Vec<Vec<Slope>>,
+}
+
+/// A number that an environment starts with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub(crate) enum Place {
+    /// A parameter of a node.
+    Param { node: usize, leaf: usize },
+    /// A leaf of a node's first state.
+    State { node: usize, leaf: usize },
+    /// A trainable delay's place between its bounds.
+    Delay { connection: usize },
+}
+
+/// How a number changes along a direction.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Slope {
+    pub(crate) place: Place,
+    pub(crate) direction: usize,
+    pub(crate) slope: f64,
 }
 
 impl<'a> Environments<'a> {
@@ -71,6 +94,8 @@ impl<'a> Environments<'a> {
                 .map(|connection| if trainable(connection) { vec![0.0; count] } else { Vec::new() })
                 .collect(),
             given: vec![None; batch.nodes.len()],
+            quiet: false,
+            slopes: Vec::new(),
         }
     }
 
@@ -82,6 +107,32 @@ impl<'a> Environments<'a> {
     /// Whether there is none.
     pub fn is_empty(&self) -> bool {
         self.episodes.is_empty()
+    }
+
+    /// Models draw no noise: all their normal numbers are zero. For predictions of what was measured.
+    pub fn quiet(&mut self) -> &mut Self {
+        self.quiet = true;
+        self
+    }
+
+    /// Sets one environment's number.
+    pub(crate) fn put(&mut self, environment: usize, place: Place, value: f64) {
+        let nodes = &self.batch.nodes;
+        match place {
+            Place::Param { node, leaf } => {
+                self.params[node][environment * nodes[node].params.len() + leaf] = value;
+            }
+            Place::State { node, leaf } => {
+                self.states[node][environment * nodes[node].state.len() + leaf] = value;
+            }
+            Place::Delay { connection } => self.alphas[connection][environment] = value,
+        }
+    }
+
+    /// Differentiates one environment by these.
+    pub(crate) fn incline(&mut self, environment: usize, slopes: Vec<Slope>) {
+        self.slopes.resize(self.episodes.len(), Vec::new());
+        self.slopes[environment] = slopes;
     }
 
     /// Sets every environment's episode.

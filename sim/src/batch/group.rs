@@ -7,6 +7,7 @@ use parallax_runtime::random::{Purpose, stream};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
+use super::environments::Place;
 use super::environments::{Environments, Given};
 use super::inputs::{Selected, Selecting, SlotStamps};
 use super::number::Number;
@@ -29,8 +30,8 @@ pub(super) struct Group<'a, T: Number> {
     stores: Vec<BlockStore<T>>,
     /// `[slot]`
     slots: Vec<Ports<T>>,
-    /// The delays' places between their bounds, `[connection][lane]`; empty where they are not trainable.
-    alphas: Vec<Vec<f64>>,
+    /// The delays' places between their bounds, `[connection][block]`; empty where they are not trainable.
+    alphas: Vec<Vec<T>>,
     /// Where the given outputs of every lane begin, `[node][lane]`; empty where a node computes them.
     given: Vec<Vec<usize>>,
     /// The place of every node's newest output.
@@ -97,17 +98,27 @@ impl<'a, T: Number> Group<'a, T> {
             let random = members.iter().map(|&member| {
                 stream(environments.seeds[member], Purpose::Node, &compiled.nodes[index].name)
             });
-            let params = gather(&environments.params[index], node.params.len(), members, blocks);
+            let mut params = gather(&environments.params[index], node.params.len(), members, blocks);
+            let mut state = gather(&environments.states[index], node.state.len(), members, blocks);
+            incline(environments, members, &mut params, |place| match place {
+                Place::Param { node, leaf } if node == index => Some(leaf),
+                _ => None,
+            });
+            incline(environments, members, &mut state, |place| match place {
+                Place::State { node, leaf } if node == index => Some(leaf),
+                _ => None,
+            });
+            let quiet = environments.quiet || noise == 0;
             Node {
                 prepared: node
                     .model
                     .as_deref()
                     .map_or_else(Vec::new, |model| prepare(model, &params, blocks)),
                 params,
-                state: gather(&environments.states[index], node.state.len(), members, blocks),
+                state,
                 widths: [node.params.len(), prepared, node.state.len(), noise],
                 noise: vec![T::constant(0.0); noise * blocks],
-                random: if noise > 0 { random.collect() } else { Vec::new() },
+                random: if quiet { Vec::new() } else { random.collect() },
                 next: 0,
             }
         });
@@ -135,8 +146,16 @@ impl<'a, T: Number> Group<'a, T> {
             slots.push(Ports { ports, selected, aside });
         }
         let lanes = (0..blocks * T::LANES).map(|lane| members[lane.min(members.len() - 1)]);
-        let alphas = environments.alphas.iter().map(|alphas| {
-            if alphas.is_empty() { Vec::new() } else { lanes.clone().map(|member| alphas[member]).collect() }
+        let alphas = environments.alphas.iter().enumerate().map(|(index, alphas)| {
+            if alphas.is_empty() {
+                return Vec::new();
+            }
+            let mut alphas = gather(alphas, 1, members, blocks);
+            incline(environments, members, &mut alphas, |place| match place {
+                Place::Delay { connection } if connection == index => Some(0),
+                _ => None,
+            });
+            alphas
         });
         let episode = environments.episodes[members[0]] as usize;
         let given = environments.given.iter().enumerate().map(|(node, given)| {
@@ -161,12 +180,22 @@ impl<'a, T: Number> Group<'a, T> {
     }
 
     /// Runs all passes of the episode. `made` is called for every output, `passed` after every pass.
-    pub(super) fn run(&mut self, mut made: impl FnMut(&Made<'_, T>), mut passed: impl FnMut(&Moment<'_>)) {
+    pub(super) fn run(&mut self, made: impl FnMut(&Made<'_, T>), passed: impl FnMut(&Moment<'_>)) {
+        self.run_for(usize::MAX, made, passed);
+    }
+
+    /// Runs the first passes of the episode.
+    pub(super) fn run_for(
+        &mut self,
+        passes: usize,
+        mut made: impl FnMut(&Made<'_, T>),
+        mut passed: impl FnMut(&Moment<'_>),
+    ) {
         let batch = self.batch;
         let compiled = batch.compiled;
         let episode = self.environments.episodes[self.members[0]] as usize;
         let schedule = &batch.schedules[episode];
-        for pass in 0..schedule.passes() {
+        for pass in 0..schedule.passes().min(passes) {
             let row = compiled.row(episode, pass);
             for entry in schedule.pass(pass) {
                 let (node, seq, write) = (compiled.slots[entry.slot as usize].node, entry.seq, entry.write);
@@ -202,12 +231,12 @@ impl<'a, T: Number> Group<'a, T> {
             if input.is_open() {
                 let mut seen = take(&mut self.stores[selected.store]);
                 let history = &self.stores[input.from];
-                for block in 0..self.blocks {
-                    let between = Selecting { history, seen: &mut seen, block };
-                    if input.trainable.is_some() {
-                        let alphas = &self.alphas[input.connection][block * T::LANES..][..T::LANES];
-                        selected.select(input, row, entry.start, between, alphas);
-                    } else {
+                if input.trainable.is_some() {
+                    let alphas = &self.alphas[input.connection];
+                    selected.select(input, row, rows.start[row], (history, &mut seen), alphas);
+                } else {
+                    for block in 0..self.blocks {
+                        let between = Selecting { history, seen: &mut seen, block };
                         selected.select_by_output(input, row, rows.start[row], between);
                     }
                 }
@@ -277,15 +306,23 @@ impl<'a, T: Number> Group<'a, T> {
 }
 
 /// An output that was just made, by all environments of a group.
-pub(super) struct Made<'a, T> {
-    pub(super) node: usize,
-    pub(super) seq: i32,
+pub(crate) struct Made<'a, T> {
+    /// The node, by its place in the graph.
+    pub(crate) node: usize,
+    /// The number of its step.
+    pub(crate) seq: i32,
     place: u32,
     stores: &'a [BlockStore<T>],
     members: &'a [usize],
 }
 
 impl<T: Number> Made<'_, T> {
+    /// The message of every environment of a block.
+    #[inline(always)]
+    pub(crate) fn block(&self, block: usize) -> &[T] {
+        self.stores[self.node].message(block, self.place as usize)
+    }
+
     /// Calls `see` with every environment's place in the group and its message's leaves.
     pub(super) fn each(&self, mut see: impl FnMut(usize, usize, f64)) {
         for position in 0..self.members.len() {
@@ -307,6 +344,23 @@ fn gather<T: Number>(rows: &[f64], leaves: usize, members: &[usize], blocks: usi
         }
     }
     values
+}
+
+/// Gives a list of numbers, `[block][leaf]`, their derivatives: `find` says which leaf a place is, if it is one of them.
+fn incline<T: Number>(
+    environments: &Environments<'_>,
+    members: &[usize],
+    values: &mut [T],
+    find: impl Fn(Place) -> Option<usize>,
+) {
+    let leaves = values.len() / members.len().div_ceil(T::LANES);
+    for (position, &member) in members.iter().enumerate() {
+        for slope in environments.slopes.get(member).into_iter().flatten() {
+            if let Some(leaf) = find(slope.place) {
+                values[position / T::LANES * leaves + leaf].incline(slope.direction, slope.slope);
+            }
+        }
+    }
 }
 
 /// What a model prepares of the parameters of every block: `[block][number]`.

@@ -1,11 +1,13 @@
 //! What a step reads that the tables alone do not say: messages that a delay selects which is known only at run time, and
 //! stamps.
 
+use parallax_model::Scalar;
+use parallax_model::lanes::{InMemory, Kernel, Level, Simd};
 use parallax_model::node_model::{BlockStamps, BlockStore};
 use parallax_runtime::time::{Nanos, to_seconds};
 
 use super::number::Number;
-use crate::compiled::{InputRows, Interpolation};
+use crate::compiled::{InputRows, Interpolation, TrainableDelay};
 
 /// The messages of a port whose delay is known only at run time: they differ from environment to environment.
 #[derive(Debug)]
@@ -31,57 +33,139 @@ impl<T: Number> Selected<T> {
         Self { store, stamps: vec![[T::constant(0.0); 3]; blocks * window], window }
     }
 
-    /// Selects, for every environment of a block, the messages that a step at `start` (s) sees under its own delay.
+    /// Selects, for every environment, the messages that a step at `start` (ns) sees under its own delay, whose place
+    /// between its bounds `alphas` holds, one for each block.
     pub(super) fn select(
         &mut self,
         input: &InputRows,
         row: usize,
-        start: f64,
-        Selecting { history, seen, block }: Selecting<'_, T>,
-        alphas: &[f64],
+        start: Nanos,
+        (history, seen): (&BlockStore<T>, &mut BlockStore<T>),
+        alphas: &[T],
     ) {
-        let Some(delay) = &input.trainable else { return };
+        let Some(delay) = input.trainable else { return };
         let rows = row * input.candidates..(row + 1) * input.candidates;
-        let (seqs, read) = (&input.seq[rows.clone()], &input.read[rows.clone()]);
-        let sent = |candidate: usize| to_seconds(input.sent[rows.start + candidate]);
-        let (min, max) = (to_seconds(delay.min), to_seconds(delay.max));
-        let last = input.candidates - 1;
-        for (lane, alpha) in alphas.iter().enumerate() {
-            let seconds = min + alpha.clamp(0.0, 1.0) * (max - min);
-            let until = start - seconds;
-            let arrived = |candidate: usize| {
-                let on_time = if delay.skip { sent(candidate) < until } else { sent(candidate) <= until };
-                on_time || seqs[candidate] < 0
-            };
-            // The newest that has arrived; at least a whole window has under the longest delay.
-            let mut newest = input.window - 1;
-            while newest < last && arrived(newest + 1) {
-                newest += 1;
-            }
-            for index in 0..input.window {
-                let held = newest + 1 - input.window + index;
-                let initial = seqs[held] < 0;
-                let received = if initial { 0.0 } else { sent(held) + seconds };
-                let stamps = [f64::from(seqs[held]), sent(held), received];
-                for (stamp, value) in self.stamps[block * self.window + index].iter_mut().zip(stamps) {
-                    stamp.set(lane, value);
-                }
-                let message = history.message(block, read[held] as usize);
-                let (after, share) = match delay.interpolation {
-                    Interpolation::Hold => (held, 0.0),
-                    // Before the first message and after the last it holds.
-                    Interpolation::Linear if initial || held == last => (held, 0.0),
-                    Interpolation::Linear => {
-                        let look = until - (sent(newest) - sent(held));
-                        let gap = sent(held + 1) - sent(held);
-                        (held + 1, if gap > 0.0 { ((look - sent(held)) / gap).clamp(0.0, 1.0) } else { 0.0 })
+        let (seqs, read, sent) = (&input.seq[rows.clone()], &input.read[rows.clone()], &input.sent[rows]);
+        let (window, stamps) = (input.window, &mut self.stamps[..]);
+        Level::widest().run(Select { delay, window, seqs, read, sent, start, history, seen, stamps, alphas });
+    }
+}
+
+/// Selection by a delay, on lanes: among the candidates of a row those that are there, as lanes of masks.
+struct Select<'a, T> {
+    delay: TrainableDelay,
+    window: usize,
+    seqs: &'a [i32],
+    read: &'a [u32],
+    sent: &'a [Nanos],
+    start: Nanos,
+    history: &'a BlockStore<T>,
+    seen: &'a mut BlockStore<T>,
+    stamps: &'a mut [[T; 3]],
+    alphas: &'a [T],
+}
+
+/// What a place in the window is when a given candidate is the newest that is there.
+struct Held {
+    candidate: usize,
+    /// The candidate towards which the payload lies; itself where it holds.
+    after: usize,
+    /// When it was sent, s before the start; and how much later the next one was, s.
+    sent: f64,
+    gap: f64,
+    /// How much later the newest one was sent, s.
+    before_newest: f64,
+}
+
+impl<T> Select<'_, T> {
+    fn held(&self, newest: usize, index: usize) -> Held {
+        let candidate = newest + 1 - self.window + index;
+        let last = self.seqs.len() - 1;
+        // Before the first message and after the last it holds.
+        let holds = self.seqs[candidate] < 0 || candidate == last;
+        let after = match self.delay.interpolation {
+            Interpolation::Linear if !holds => candidate + 1,
+            _ => candidate,
+        };
+        let seconds = |later: Nanos, earlier: Nanos| to_seconds(later.saturating_sub(earlier));
+        Held {
+            candidate,
+            after,
+            sent: seconds(self.sent[candidate], self.start),
+            gap: seconds(self.sent[after], self.sent[candidate]),
+            before_newest: seconds(self.sent[newest], self.sent[candidate]),
+        }
+    }
+
+    /// What differs from place to place, as numbers.
+    fn numbers(&self, held: &Held) -> [f64; 5] {
+        let sent = to_seconds(self.sent[held.candidate]);
+        [f64::from(self.seqs[held.candidate]), sent, held.sent, held.gap, held.before_newest]
+    }
+}
+
+/// Methods, because a closure that is called several times stays a call, even in a kernel.
+impl<T: InMemory> Select<'_, T> {
+    /// Whether a candidate is there; `until` is when the newest is sent that can be, s after the start.
+    #[inline(always)]
+    fn there<S: Simd>(&self, candidate: usize, until: T::On<S>) -> <T::On<S> as Scalar>::Mask {
+        let sent = to_seconds(self.sent[candidate].saturating_sub(self.start));
+        let sent = T::On::<S>::constant(if self.seqs[candidate] < 0 { f64::NEG_INFINITY } else { sent });
+        if self.delay.skip { sent.lt(until) } else { sent.le(until) }
+    }
+
+    #[inline(always)]
+    fn leaf<S: Simd>(&self, block: usize, candidate: usize, leaf: usize) -> T::On<S> {
+        T::registers::<S>(self.history.message(block, self.read[candidate] as usize))[leaf].loaded()
+    }
+}
+
+impl<T: InMemory> Kernel for Select<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self) {
+        let (min, max) = (to_seconds(self.delay.min), to_seconds(self.delay.max));
+        let (zero, one) = (T::On::<S>::constant(0.0), T::On::<S>::constant(1.0));
+        let last = self.seqs.len() - 1;
+        let linear = self.delay.interpolation == Interpolation::Linear;
+        for block in 0..self.alphas.len() {
+            let alpha = T::load::<S>(&self.alphas[block]).max(zero).min(one);
+            let seconds = alpha * (max - min) + min;
+            let until = -seconds;
+            for index in 0..self.window {
+                let first = self.held(self.window - 1, index);
+                // Number, sent (s), and for lines: sent before the start, distance to the next, distance of the newest.
+                let mut picked = self.numbers(&first).map(T::On::<S>::constant);
+                // Candidates are in the order in which they were sent: whose successor is there is not the newest.
+                for newest in self.window..=last {
+                    let there = self.there::<S>(newest, until);
+                    let numbers = self.numbers(&self.held(newest, index));
+                    for (old, new) in picked.iter_mut().zip(numbers) {
+                        *old = T::On::<S>::select(there, T::On::<S>::constant(new), *old);
                     }
-                };
-                let after = history.message(block, read[after] as usize);
-                let to = seen.message_mut(block, index);
-                for ((to, message), after) in to.iter_mut().zip(message).zip(after) {
-                    let (a, b) = (message.get(lane), after.get(lane));
-                    to.set(lane, if share == 0.0 { a } else { a + share * (b - a) });
+                }
+                let [seq, sent, base, gap, lead] = picked;
+                let received = T::On::<S>::select(seq.lt(zero), zero, sent + seconds);
+                let stamps = &mut self.stamps[block * self.window + index];
+                for (stamp, value) in stamps.iter_mut().zip([seq, sent, received]) {
+                    T::store::<S>(stamp, value);
+                }
+                // How far the payload lies on the way to the next message.
+                let moves = gap.gt(zero);
+                let share = (until - lead - base) / T::On::<S>::select(moves, gap, one);
+                let share = T::On::<S>::select(moves, share.max(zero).min(one), zero);
+                for leaf in 0..self.history.leaves() {
+                    let mut a = self.leaf::<S>(block, first.candidate, leaf);
+                    let mut b = self.leaf::<S>(block, first.after, leaf);
+                    for newest in self.window..=last {
+                        let held = self.held(newest, index);
+                        let there = self.there::<S>(newest, until);
+                        a = T::On::<S>::select(there, self.leaf::<S>(block, held.candidate, leaf), a);
+                        b = T::On::<S>::select(there, self.leaf::<S>(block, held.after, leaf), b);
+                    }
+                    let between = if linear { a + share * (b - a) } else { a };
+                    T::registers_mut::<S>(self.seen.message_mut(block, index))[leaf] = between;
                 }
             }
         }

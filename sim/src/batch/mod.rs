@@ -53,8 +53,10 @@ use rayon::prelude::*;
 use crate::compiled::CompiledGraph;
 
 pub use environments::{Environments, Given};
+pub(crate) use environments::{Place, Slope};
 use group::Group;
-use number::Number;
+pub(crate) use group::Made;
+pub(crate) use number::Number;
 use schedule::Schedule;
 
 /// Environments of one group: enough that looking into the tables costs little, few enough to stay in the first cache.
@@ -283,7 +285,7 @@ impl<'a> Batch<'a> {
         start: impl Fn(&[usize]) -> R + Sync,
         each: impl Fn(&mut R, &Moment<'_>) + Sync,
     ) -> Result<Vec<(Vec<usize>, R)>, BatchError> {
-        let groups = self.groups(environments)?;
+        let groups = self.groups(environments, GROUP)?;
         let results = groups.into_par_iter().map(|members| {
             let mut result = start(&members);
             Group::<T>::new(self, environments, &members).run(|_| {}, |moment| each(&mut result, moment));
@@ -292,12 +294,39 @@ impl<'a> Batch<'a> {
         Ok(results.collect())
     }
 
+    /// Runs the first `passes` of every environment's episode in groups of at most `most`, and shows every output to
+    /// `made` with the result that `start` made for its group. Gives the groups' environments and results.
+    pub(crate) fn visit<T: Number, R: Send>(
+        &self,
+        environments: &Environments<'_>,
+        (most, passes): (usize, usize),
+        start: impl Fn(&[usize]) -> R + Sync,
+        made: impl Fn(&mut R, &Made<'_, T>) + Sync,
+    ) -> Result<Vec<(Vec<usize>, R)>, BatchError> {
+        let groups = self.groups(environments, most)?;
+        let results = groups.into_par_iter().map(|members| {
+            let mut result = start(&members);
+            let mut group = Group::<T>::new(self, environments, &members);
+            group.run_for(passes, |output| made(&mut result, output), |_| {});
+            (members, result)
+        });
+        Ok(results.collect())
+    }
+
+    /// The first pass of an episode in which a step starts at `time` (s) or later.
+    pub(crate) fn pass_at(&self, episode: usize, time: f64) -> usize {
+        let schedule = &self.schedules[episode];
+        (0..schedule.passes())
+            .find(|&pass| schedule.pass(pass).iter().any(|entry| entry.start >= time))
+            .unwrap_or_else(|| schedule.passes())
+    }
+
     fn rollout_on<T: Number>(
         &self,
         environments: &Environments<'_>,
         keep: &[&str],
     ) -> Result<Rollout, BatchError> {
-        let groups = self.groups(environments)?;
+        let groups = self.groups(environments, GROUP)?;
         let count = environments.len();
         let mut outputs = Vec::with_capacity(keep.len());
         for name in keep {
@@ -355,8 +384,8 @@ impl<'a> Batch<'a> {
         Ok(Rollout { outputs, states })
     }
 
-    /// Environments of one episode, at most [`GROUP`] together.
-    fn groups(&self, environments: &Environments<'_>) -> Result<Vec<Vec<usize>>, BatchError> {
+    /// Environments of one episode, at most so many together.
+    fn groups(&self, environments: &Environments<'_>, most: usize) -> Result<Vec<Vec<usize>>, BatchError> {
         for (index, node) in self.compiled.nodes.iter().enumerate() {
             let runs = self.compiled.slots.iter().any(|slot| slot.node == index);
             if node.pinned && runs && environments.given[index].is_none() {
@@ -367,7 +396,7 @@ impl<'a> Batch<'a> {
         for (environment, &episode) in environments.episodes.iter().enumerate() {
             of_episode[episode as usize].push(environment);
         }
-        Ok(of_episode.iter().flat_map(|members| members.chunks(GROUP)).map(<[usize]>::to_vec).collect())
+        Ok(of_episode.iter().flat_map(|members| members.chunks(most)).map(<[usize]>::to_vec).collect())
     }
 }
 

@@ -1,17 +1,20 @@
 //! What a block of environments is computed with: one number, or lanes.
 
-use parallax_model::Scalar;
-use parallax_model::lanes::{F32x32, F64x16};
-use parallax_model::node_model::{BlockStep, ErasedModel, Scratch};
+use parallax_model::lanes::{F32x32, F64x16, InMemory};
+use parallax_model::node_model::{BlockStep, Directions, ErasedModel, Scratch};
 
 /// A number for each environment of a block.
-pub(super) trait Number: Scalar + Send + Sync {
+pub(crate) trait Number: InMemory + Send + Sync {
     /// How many environments a block holds.
     const LANES: usize;
     /// One environment's number.
     fn get(&self, lane: usize) -> f64;
     /// Changes one environment's number.
     fn set(&mut self, lane: usize, value: f64);
+    /// Makes it change by `slope` along a direction; numbers without derivatives stay what they are.
+    fn incline(&mut self, direction: usize, slope: f64) {
+        let _ = (direction, slope);
+    }
     /// What a model prepares of the parameters of one block.
     fn prepare(model: &dyn ErasedModel, params: &[Self], prepared: &mut [Self]);
     /// One step of a model for all blocks.
@@ -62,3 +65,25 @@ macro_rules! lanes {
 
 lanes!(F64x16, f64, prepare_f64x16, step_blocks_f64x16);
 lanes!(F32x32, f32, prepare_f32x32, step_blocks_f32x32);
+
+impl Number for Directions {
+    const LANES: usize = 1;
+    #[inline(always)]
+    fn get(&self, _: usize) -> f64 {
+        self.value
+    }
+    #[inline(always)]
+    fn set(&mut self, _: usize, value: f64) {
+        *self = Directions::from_value(value);
+    }
+    fn incline(&mut self, direction: usize, slope: f64) {
+        self.gradient[direction] += slope;
+    }
+    fn prepare(model: &dyn ErasedModel, params: &[Self], prepared: &mut [Self]) {
+        model.prepare_dual(params, prepared);
+    }
+    #[inline(always)]
+    fn step(model: &dyn ErasedModel, step: &mut BlockStep<'_, Self>, scratch: &mut Scratch<Self>) {
+        model.step_blocks_dual(step, scratch);
+    }
+}

@@ -1,0 +1,257 @@
+//! What the data determine where they do not determine every number: products, ratios and sums, in plain words.
+//!
+//! Directions in which nothing changes the predictions are found from the information matrix, positive numbers by their
+//! logarithms: a product of powers is then a plain combination with whole exponents. Of all such combinations with small
+//! exponents those are named that do not move along any of these directions, the simplest first.
+
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
+use serde::{Deserialize, Serialize};
+
+use super::coordinate::Sort;
+
+/// What is determined together, where the single numbers are not.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Combination {
+    /// How it is written, such as `K/(J R)`.
+    pub text: String,
+    /// Its value at the estimate.
+    pub value: f64,
+    /// Its standard deviation.
+    pub std: f64,
+    /// Exponents of a product, or factors of a sum, by the names of the numbers.
+    pub factors: Vec<(String, f64)>,
+    /// Whether they are exponents.
+    pub product: bool,
+}
+
+/// One number, as combinations see it.
+pub(super) struct Member<'a> {
+    pub(super) name: &'a str,
+    pub(super) value: f64,
+    pub(super) sort: Sort,
+    /// How the number changes with the coordinate in which the information stands.
+    pub(super) slope: f64,
+}
+
+/// Directions of the coordinates in which the information is too little: the numbers would be free to cross their bounds.
+/// Coordinates are in widths of the bounds.
+pub(super) struct Free {
+    /// One direction a column, orthonormal.
+    pub(super) directions: DMatrix<f64>,
+    /// The covariance of what is determined.
+    pub(super) covariance: DMatrix<f64>,
+}
+
+/// A direction whose standard deviation is larger than this, in widths of the bounds, is free.
+const FREE: f64 = 2.0;
+
+pub(super) fn free(information: &DMatrix<f64>) -> Free {
+    let n = information.nrows();
+    let SymmetricEigen { eigenvectors, eigenvalues } = information.clone().symmetric_eigen();
+    let rounding = 1e-13 * eigenvalues.iter().fold(0.0, |a: f64, b| a.max(b.abs()));
+    let is_free = |value: f64| value <= rounding || 1.0 / value.sqrt() > FREE;
+    let columns: Vec<DVector<f64>> =
+        (0..n).filter(|&k| is_free(eigenvalues[k])).map(|k| eigenvectors.column(k).clone_owned()).collect();
+    let inverse = eigenvalues.map(|value| if is_free(value) { 0.0 } else { 1.0 / value });
+    let covariance = &eigenvectors * DMatrix::from_diagonal(&inverse) * eigenvectors.transpose();
+    let directions = if columns.is_empty() { DMatrix::zeros(n, 0) } else { DMatrix::from_columns(&columns) };
+    Free { directions, covariance }
+}
+
+/// The combinations that are determined of numbers that are not, and which numbers those are.
+pub(super) fn combinations(members: &[Member<'_>], free: &Free) -> (Vec<usize>, Vec<Combination>) {
+    let n = members.len();
+    let d = free.directions.ncols();
+    if d == 0 {
+        return (Vec::new(), Vec::new());
+    }
+    // In the numbers' own scale: the logarithm of what is positive and multiplies, the number itself of the others.
+    let product = |m: &Member<'_>| m.sort == Sort::Parameter && m.value > 0.0;
+    let scale = |m: &Member<'_>| if product(m) { m.slope / m.value } else { m.slope };
+    let moves = DMatrix::from_fn(n, d, |i, k| free.directions[(i, k)] * scale(&members[i]));
+    let involved: Vec<usize> = (0..n).filter(|&i| free.directions.row(i).norm() > 1e-2).collect();
+
+    let mut found: Vec<Combination> = Vec::new();
+    for group in [Sort::Parameter, Sort::Delay] {
+        let group: Vec<usize> = involved
+            .iter()
+            .copied()
+            .filter(|&i| members[i].sort == group && (group == Sort::Delay || product(&members[i])))
+            .collect();
+        if group.len() < 2 || group.len() > 12 {
+            continue;
+        }
+        let rows = DMatrix::from_fn(group.len(), d, |i, k| moves[(group[i], k)]);
+        // How many combinations there are to find: what the free directions leave of the group.
+        let rank = rows.clone().svd(false, false).rank(1e-6 * rows.norm().max(f64::MIN_POSITIVE));
+        let wanted = group.len().saturating_sub(rank);
+        let mut basis: Vec<DVector<f64>> = Vec::new();
+        let largest = if group[0] < n && members[group[0]].sort == Sort::Delay { 1 } else { 2 };
+        for exponents in candidates(group.len(), largest) {
+            if basis.len() == wanted {
+                break;
+            }
+            let vector = DVector::from_iterator(group.len(), exponents.iter().map(|&e| f64::from(e)));
+            let weights = DVector::from_fn(group.len(), |i, _| rows.row(i).norm() * vector[i].abs());
+            let moved = (rows.transpose() * &vector).norm();
+            if moved > 2e-3 * weights.sum() {
+                continue;
+            }
+            let mut rest = vector.clone();
+            basis.iter().for_each(|b| rest -= b * b.dot(&vector));
+            if rest.norm() < 1e-6 * vector.norm() {
+                continue;
+            }
+            basis.push(rest.normalize());
+            found.push(combination(members, &group, &exponents, free));
+        }
+    }
+    (involved, found)
+}
+
+fn combination(members: &[Member<'_>], group: &[usize], exponents: &[i32], free: &Free) -> Combination {
+    let n = members.len();
+    let is_product = members[group[0]].sort != Sort::Delay;
+    let factors: Vec<(usize, i32)> =
+        group.iter().copied().zip(exponents.iter().copied()).filter(|(_, e)| *e != 0).collect();
+    let mut along = DVector::zeros(n);
+    for &(i, e) in &factors {
+        let m = &members[i];
+        along[i] = f64::from(e) * if is_product { m.slope / m.value } else { m.slope };
+    }
+    let relative = (along.transpose() * &free.covariance * &along)[0].max(0.0).sqrt();
+    let value: f64 = if is_product {
+        factors.iter().map(|&(i, e)| members[i].value.powi(e)).product()
+    } else {
+        factors.iter().map(|&(i, e)| f64::from(e) * members[i].value).sum()
+    };
+    let names: Vec<(&str, i32)> = factors.iter().map(|&(i, e)| (members[i].name, e)).collect();
+    Combination {
+        text: if is_product { ratio(&names) } else { sum(&names) },
+        value,
+        std: if is_product { relative * value.abs() } else { relative },
+        factors: names.iter().map(|&(name, e)| (name.to_owned(), f64::from(e))).collect(),
+        product: is_product,
+    }
+}
+
+/// Small whole numbers for `count` places, the simplest first; the first that is not zero is positive unless fewer minus
+/// signs come out so.
+fn candidates(count: usize, largest: i32) -> Vec<Vec<i32>> {
+    let mut found = Vec::new();
+    for size in 1..=count.min(4) {
+        let mut places: Vec<usize> = (0..size).collect();
+        loop {
+            let choices: Vec<i32> = (-largest..=largest).filter(|e| *e != 0).collect();
+            for mut code in 0..choices.len().pow(size as u32) {
+                let mut exponents = vec![0; count];
+                for &place in &places {
+                    exponents[place] = choices[code % choices.len()];
+                    code /= choices.len();
+                }
+                let minus = exponents.iter().filter(|e| **e < 0).count();
+                let plus = exponents.iter().filter(|e| **e > 0).count();
+                let first = exponents.iter().find(|e| **e != 0).copied().unwrap_or(0);
+                let whole = exponents.iter().any(|e| e.abs() == 1);
+                if whole && (plus > minus || (plus == minus && first > 0)) {
+                    found.push(exponents);
+                }
+            }
+            if !next(&mut places, count) {
+                break;
+            }
+        }
+    }
+    found.sort_by_key(|exponents| {
+        let used = exponents.iter().filter(|e| **e != 0).count();
+        (used, exponents.iter().map(|e| e.abs()).sum::<i32>())
+    });
+    found
+}
+
+/// The next choice of places, if there is one.
+fn next(places: &mut [usize], count: usize) -> bool {
+    let size = places.len();
+    for k in (0..size).rev() {
+        if places[k] < count - size + k {
+            places[k] += 1;
+            for later in k + 1..size {
+                places[later] = places[later - 1] + 1;
+            }
+            return true;
+        }
+    }
+    false
+}
+
+fn power(name: &str, exponent: i32) -> String {
+    if exponent == 1 { name.to_owned() } else { format!("{name}^{exponent}") }
+}
+
+/// `a b/(c d)`
+fn ratio(factors: &[(&str, i32)]) -> String {
+    let above: Vec<String> =
+        factors.iter().filter(|(_, e)| *e > 0).map(|(name, e)| power(name, *e)).collect();
+    let below: Vec<String> =
+        factors.iter().filter(|(_, e)| *e < 0).map(|(name, e)| power(name, -e)).collect();
+    let above = if above.is_empty() { "1".into() } else { above.join(" ") };
+    match below.len() {
+        0 => above,
+        1 => format!("{above}/{}", below[0]),
+        _ => format!("{above}/({})", below.join(" ")),
+    }
+}
+
+/// `a + b - c`
+fn sum(factors: &[(&str, i32)]) -> String {
+    let mut text = String::new();
+    for (name, factor) in factors {
+        let sign = if *factor < 0 { "-" } else { "+" };
+        let size = if factor.abs() == 1 { String::new() } else { format!("{} ", factor.abs()) };
+        text += &match (text.is_empty(), sign) {
+            (true, "+") => format!("{size}{name}"),
+            (true, _) => format!("-{size}{name}"),
+            _ => format!(" {sign} {size}{name}"),
+        };
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Information of residuals that depend on products of the numbers alone.
+    fn information(rows: &[&[f64]]) -> DMatrix<f64> {
+        let n = rows[0].len();
+        let j = DMatrix::from_fn(rows.len(), n, |i, k| 1e3 * rows[i][k]);
+        j.transpose() * j
+    }
+
+    #[test]
+    fn of_four_constants_three_ratios_are_left() {
+        // J, m, l, b: only m l/J and b/J matter, by their logarithms.
+        let free = free(&information(&[&[-1.0, 1.0, 1.0, 0.0], &[-1.0, 0.0, 0.0, 1.0]]));
+        let members: Vec<Member<'_>> = ["J", "m", "l", "b"]
+            .into_iter()
+            .map(|name| Member { name, value: 2.0, sort: Sort::Parameter, slope: 2.0 })
+            .collect();
+        let (involved, found) = combinations(&members, &free);
+        assert_eq!(involved, [0, 1, 2, 3]);
+        let texts: Vec<&str> = found.iter().map(|c| c.text.as_str()).collect();
+        assert_eq!(texts.len(), 2, "{texts:?}");
+        assert!(texts.contains(&"J/b"), "{texts:?}");
+        assert!(texts.contains(&"m l/J"), "{texts:?}");
+    }
+
+    #[test]
+    fn of_two_delays_the_sum_is_left() {
+        let free = free(&information(&[&[1.0, 1.0, 0.0], &[0.0, 0.0, 1.0]]));
+        let member = |name, sort| Member { name, value: 0.01, sort, slope: 0.05 };
+        let members = [member("a", Sort::Delay), member("b", Sort::Delay), member("x", Sort::State)];
+        let (involved, found) = combinations(&members, &free);
+        assert_eq!(involved, [0, 1]);
+        assert_eq!(found[0].text, "a + b");
+        assert!((found[0].value - 0.02).abs() < 1e-12 && found[0].std < 1e-3);
+    }
+}

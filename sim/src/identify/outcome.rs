@@ -1,0 +1,305 @@
+//! What was found, how sure it is, and how well it predicts.
+
+use nalgebra::DMatrix;
+use parallax_model::fit::{Best, Local, Stop};
+use serde::{Deserialize, Serialize};
+
+use super::combination::{Combination, Member, combinations, free};
+use super::coordinate::Sort;
+use super::error::IdentifyError;
+use super::evaluate::{Evaluator, Fit, wrapped};
+use super::problem::Problem;
+
+/// The result of an identification.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Identified {
+    /// Everything that was found: parameters, first states, delays, linear coefficients.
+    pub estimates: Vec<Estimate>,
+    /// What is determined where single numbers are not.
+    pub combinations: Vec<Combination>,
+    /// What that means, in sentences.
+    pub remarks: Vec<String>,
+    /// How well each output is predicted.
+    pub outputs: Vec<Score>,
+    /// −2 log likelihood at the estimate, up to a constant.
+    pub loss: f64,
+    /// Why the search ended; absent: it was stopped.
+    pub stop: Option<Stop>,
+    /// Rollouts of a recording that it took, those with derivatives counted once for each eight directions.
+    pub rollouts: u64,
+    /// What the search ended at, between 0 and 1.
+    pub point: Vec<f64>,
+}
+
+/// One number that was found.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Estimate {
+    /// What people call it.
+    pub name: String,
+    /// What kind of number it is.
+    pub sort: Sort,
+    /// Its value.
+    pub value: f64,
+    /// Its standard deviation; absent where the data do not determine it.
+    pub std: Option<f64>,
+    /// Where it lies with 95 % probability; its bounds where the data do not determine it.
+    pub interval: [f64; 2],
+    /// The bounds of the search; absent where it was solved for.
+    pub bounds: Option<[f64; 2]>,
+    /// Whether it ended at a bound.
+    pub at_bound: bool,
+    /// Its unit.
+    pub unit: String,
+}
+
+/// How well an output is predicted: root mean squares of the open-loop error.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Score {
+    /// The output, `NODE.LEAF`.
+    pub output: String,
+    /// Over the time that the fit saw.
+    pub fitted: f64,
+    /// How many values that were.
+    pub samples: usize,
+    /// Over the time that it did not see; absent where all was fitted.
+    pub held_out: Option<f64>,
+    /// The declared noise.
+    pub noise: Option<f64>,
+}
+
+/// Predictions beside what was recorded, for pictures.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Reconstruction {
+    /// The output, `NODE.LEAF`.
+    pub output: String,
+    /// The period of an angle that wraps.
+    pub wrap: Option<f64>,
+    /// One for each recording.
+    pub recordings: Vec<Series>,
+}
+
+/// One output over one recording.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Series {
+    /// When the steps started, s.
+    pub times: Vec<f64>,
+    /// What was recorded.
+    pub recorded: Vec<f64>,
+    /// What is predicted, open loop from the first state.
+    pub predicted: Vec<f64>,
+    /// From when on no fit has seen it, s.
+    pub held_out_from: f64,
+}
+
+/// 97.5 % of the normal distribution lie below this many standard deviations.
+const BELOW: f64 = 1.959_963_984_540_054;
+
+/// Makes a result of the best point.
+pub(super) fn outcome(
+    problem: &Problem,
+    evaluator: &Evaluator<'_>,
+    best: &Best,
+    stop: Option<Stop>,
+    rollouts: u64,
+) -> Result<Identified, IdentifyError> {
+    let models = evaluator.models(std::slice::from_ref(&best.point), 1.0);
+    let (local, fit) = models.into_iter().next().ok_or(IdentifyError::NotFinite)?;
+    if !local.is_finite() {
+        return Err(IdentifyError::NotFinite);
+    }
+    let mut values = Vec::new();
+    for (coordinate, z) in problem.coordinates.iter().zip(&best.point) {
+        values.push((coordinate.value(*z), coordinate.slope(*z)));
+    }
+    let linear = problem.outputs.iter().zip(&fit.coefficients);
+    let linear: Vec<(&str, f64)> = linear
+        .flat_map(|(output, coefficients)| {
+            output.names.iter().map(String::as_str).zip(coefficients.iter().copied())
+        })
+        .collect();
+
+    let n = values.len();
+    let all = n + linear.len();
+    let information = weighted(problem, &local, &fit);
+    // Linear coefficients have no bounds to compare with; they are in units of their own uncertainty.
+    let scale: Vec<f64> = (0..all)
+        .map(|i| match i < n {
+            true => 1.0,
+            false => 1.0 / information[(i, i)].sqrt().max(f64::MIN_POSITIVE),
+        })
+        .collect();
+    let scaled = DMatrix::from_fn(all, all, |i, j| information[(i, j)] * scale[i] * scale[j]);
+    let free = free(&scaled);
+
+    let mut members: Vec<Member<'_>> = Vec::new();
+    for (coordinate, (value, slope)) in problem.coordinates.iter().zip(&values) {
+        members.push(Member { name: &coordinate.name, value: *value, sort: coordinate.sort, slope: *slope });
+    }
+    for (k, (name, value)) in linear.iter().enumerate() {
+        members.push(Member { name, value: *value, sort: Sort::Linear, slope: scale[n + k] });
+    }
+    let undetermined = |i: usize| free.directions.row(i).norm() > 1e-2;
+    let deviation = |i: usize| free.covariance[(i, i)].max(0.0).sqrt() * members[i].slope.abs();
+
+    let mut estimates = Vec::with_capacity(all);
+    for (i, member) in members.iter().enumerate() {
+        let coordinate = problem.coordinates.get(i);
+        let bounds = coordinate.map(|c| [c.low, c.high]);
+        let at_bound = coordinate.is_some() && !(1e-6..=1.0 - 1e-6).contains(&best.point[i]);
+        let std = (!undetermined(i)).then(|| deviation(i));
+        let interval = match (std, coordinate) {
+            (Some(_), Some(c)) => {
+                // On the scale of the search, where the loss is more nearly a parabola.
+                let z = best.point[i];
+                let half = BELOW * free.covariance[(i, i)].max(0.0).sqrt();
+                [c.value((z - half).max(0.0)), c.value((z + half).min(1.0))]
+            }
+            (Some(std), None) => [member.value - BELOW * std, member.value + BELOW * std],
+            (None, Some(c)) => [c.low, c.high],
+            (None, None) => [f64::MIN, f64::MAX],
+        };
+        estimates.push(Estimate {
+            name: member.name.to_owned(),
+            sort: member.sort,
+            value: member.value,
+            std,
+            interval,
+            bounds,
+            at_bound,
+            unit: coordinate.map_or_else(String::new, |c| c.unit.clone()),
+        });
+    }
+    let (involved, combinations) = combinations(&members, &free);
+    let remarks = remarks(&estimates, &involved, &combinations);
+    let outputs = scores(problem, evaluator, best, &fit)?;
+    let (loss, point) = (local.cost, best.point.clone());
+    Ok(Identified { estimates, combinations, remarks, outputs, loss, stop, rollouts, point })
+}
+
+/// The information with the noise that is there: where predictions err by more than declared, their errors count.
+fn weighted(problem: &Problem, local: &Local, fit: &Fit) -> DMatrix<f64> {
+    let all = local.gradient.len();
+    let information = DMatrix::from_row_slice(all, all, &local.information);
+    let samples: usize = fit.samples.iter().sum();
+    let freedom = samples.saturating_sub(all).max(1) as f64;
+    let declared = problem.outputs.iter().zip(&fit.squares).map(|(output, squares)| match output.noise {
+        Some(noise) => squares / (noise * noise),
+        None => 0.0,
+    });
+    let inflation = match problem.outputs.iter().all(|output| output.noise.is_some()) {
+        true => (declared.sum::<f64>() / freedom).max(1.0),
+        // The estimated noise is that of the residuals, which the fit has made smaller.
+        false => samples as f64 / freedom,
+    };
+    information / inflation
+}
+
+fn remarks(estimates: &[Estimate], involved: &[usize], combinations: &[Combination]) -> Vec<String> {
+    let mut remarks = Vec::new();
+    for (sort, what) in [(Sort::Parameter, "parameters"), (Sort::Delay, "delays")] {
+        let of = |i: &&usize| estimates[**i].sort == sort;
+        let names: Vec<&str> = involved.iter().filter(of).map(|&i| estimates[i].name.as_str()).collect();
+        if names.is_empty() {
+            continue;
+        }
+        let found: Vec<&str> = combinations
+            .iter()
+            .filter(|c| c.product == (sort == Sort::Parameter))
+            .map(|c| c.text.as_str())
+            .collect();
+        let alone = match found.len() {
+            0 => "nothing of them by itself".to_owned(),
+            _ => format!("only {}", found.join(", ")),
+        };
+        let many = names.len() > 1;
+        let verb = if many { "are" } else { "is" };
+        remarks.push(format!(
+            "the data do not determine the {what} {} one by one: {alone} {verb} determined. Fix {} to a known value, or add \
+             a prior, and the rest follows.",
+            names.join(", "),
+            if many { "as many of them as are too many" } else { "it" },
+        ));
+    }
+    let states: Vec<&str> = involved
+        .iter()
+        .filter(|&&i| matches!(estimates[i].sort, Sort::State | Sort::Linear))
+        .map(|&i| estimates[i].name.as_str())
+        .collect();
+    if !states.is_empty() {
+        remarks.push(format!("the data do not determine {} by themselves", states.join(", ")));
+    }
+    for estimate in estimates.iter().filter(|estimate| estimate.at_bound && estimate.std.is_some()) {
+        remarks.push(format!(
+            "`{}` ended at its bound {:.6}: widen the bounds, or take it as fixed",
+            estimate.name, estimate.value
+        ));
+    }
+    remarks
+}
+
+fn scores(
+    problem: &Problem,
+    evaluator: &Evaluator<'_>,
+    best: &Best,
+    fit: &Fit,
+) -> Result<Vec<Score>, IdentifyError> {
+    let predicted = evaluator.predict(&best.point, &fit.coefficients)?;
+    let scores = problem.outputs.iter().enumerate().map(|(index, output)| {
+        let error = |seen: bool| {
+            let (mut count, mut square) = (0, 0.0);
+            for (episode, predicted) in predicted[index].iter().enumerate() {
+                let [from, until, end] = problem.spans[episode];
+                let (from, until) = if seen { (from, until) } else { (until, end) };
+                for (step, value) in predicted.iter().enumerate() {
+                    if output.counts(episode, step, from, until) && value.is_finite() {
+                        let residual = wrapped(output.values[episode][step] - value, output.wrap);
+                        square += residual * residual;
+                        count += 1;
+                    }
+                }
+            }
+            (count, (square / f64::from(count.max(1))).sqrt())
+        };
+        let (samples, fitted) = error(true);
+        let (unseen, held_out) = error(false);
+        Score {
+            output: output.name.clone(),
+            fitted,
+            samples: samples as usize,
+            held_out: (unseen > 0).then_some(held_out),
+            noise: output.noise,
+        }
+    });
+    Ok(scores.collect())
+}
+
+impl Identified {
+    /// The estimate of this name.
+    pub fn estimate(&self, name: &str) -> Option<&Estimate> {
+        self.estimates.iter().find(|estimate| estimate.name == name)
+    }
+
+    /// Predictions at the estimate beside what was recorded.
+    ///
+    /// # Errors
+    ///
+    /// [`IdentifyError::Batch`] as [`Evaluator::new`].
+    pub fn reconstruction(&self, problem: &Problem) -> Result<Vec<Reconstruction>, IdentifyError> {
+        let evaluator = Evaluator::new(problem)?;
+        let mut linear = self.estimates[problem.coordinates.len()..].iter().map(|estimate| estimate.value);
+        let coefficients: Vec<Vec<f64>> =
+            problem.outputs.iter().map(|output| linear.by_ref().take(output.terms.len()).collect()).collect();
+        let predicted = evaluator.predict(&self.point, &coefficients)?;
+        let outputs = problem.outputs.iter().zip(predicted).map(|(output, predicted)| {
+            let series = predicted.into_iter().enumerate().map(|(episode, predicted)| Series {
+                times: output.times[episode].clone(),
+                recorded: output.values[episode].clone(),
+                predicted,
+                held_out_from: problem.spans[episode][1],
+            });
+            let recordings = series.collect();
+            Reconstruction { output: output.name.clone(), wrap: output.wrap, recordings }
+        });
+        Ok(outputs.collect())
+    }
+}
