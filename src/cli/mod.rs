@@ -8,6 +8,7 @@ mod doctor;
 mod experiment;
 pub(crate) mod failure;
 mod graph;
+mod identify;
 mod import;
 mod info;
 mod latency;
@@ -34,7 +35,8 @@ Exit codes:
        of `latency` is missed, `doctor` found something to change
   2    the command or its input cannot be used
   3    the run failed, for instance because a node died
-  130  interrupted; a diagnosis reports what was weighed until then, a run keeps its recording";
+  130  interrupted; a diagnosis reports what was weighed until then, an identification the best so far, a run
+       keeps its recording";
 
 /// Runs a robot as a graph of nodes, replays it exactly under a simulated clock, and says where simulation and reality
 /// part, why, and how much of the gap a cause explains.
@@ -95,6 +97,9 @@ enum Command {
     /// Say where a recording and its simulator part, why, and how far.
     #[command(after_help = EXIT_CODES)]
     Diagnose(diagnose::Arguments),
+    /// Find parameters, first states and hidden delays from recordings.
+    #[command(after_help = EXIT_CODES)]
+    Identify(identify::Arguments),
     /// Design the commands that would tell apart what a diagnosis could not.
     #[command(after_help = EXIT_CODES)]
     Experiment(experiment::Arguments),
@@ -153,6 +158,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Run(arguments) => run::run(&arguments),
         Command::Diagnose(arguments) => diagnose::run(&arguments),
         Command::Experiment(arguments) => experiment::run(&arguments),
+        Command::Identify(arguments) => identify::run(&arguments),
         Command::Withheld(arguments) => withheld::run(&arguments),
         Command::WithheldTruth(arguments) => withheld::truth::run(&arguments),
         Command::WithheldPlay(arguments) => withheld::separate::run(&arguments),

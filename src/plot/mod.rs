@@ -2,6 +2,7 @@
 
 pub(crate) mod delays;
 pub(crate) mod graph;
+pub(crate) mod identified;
 pub(crate) mod latency;
 mod layers;
 pub(crate) mod schedule;

@@ -3,7 +3,7 @@
 //! Simulations over a whole recording have many local minima: a swing too many or too few fits nothing that comes after.
 //! Over its beginning there are few. So the evolution looks at the beginning only, Gauss–Newton refines its leaders there,
 //! and the data that count then grow until they are all. Where the loss aimed at is not reached, everything starts again
-//! with another seed and twice the population.
+//! with another seed.
 
 use serde::{Deserialize, Serialize};
 
@@ -23,13 +23,13 @@ pub struct HybridOptions {
     pub sigma: f64,
     /// The shares of the data that count, one after the other; the evolution sees the first.
     pub shares: Vec<f64>,
-    /// How many of the evolution's leaders Gauss–Newton refines.
+    /// How many of the evolution's leaders Gauss–Newton refines at first; on each further share half as many.
     pub leaders: usize,
     /// Most Gauss–Newton steps on each share.
     pub iterations: usize,
     /// A gain in the loss that is not worth a step.
     pub gain: f64,
-    /// How often everything starts again where the target is not reached, each time with twice the population.
+    /// How often everything starts again where the target is not reached.
     pub restarts: usize,
     /// The loss aimed at, over all of the data. Absent: it starts again until two rounds end at the same loss.
     pub target: Option<f64>,
@@ -43,11 +43,11 @@ impl Default for HybridOptions {
             population: None,
             generations: 25,
             sigma: 0.3,
-            shares: vec![0.15, 0.4, 1.0],
-            leaders: 3,
-            iterations: 30,
+            shares: vec![0.1, 0.2, 0.4, 0.7, 1.0],
+            leaders: 8,
+            iterations: 20,
             gain: 1e-2,
-            restarts: 4,
+            restarts: 8,
             target: None,
             seed: 1,
         }
@@ -109,7 +109,7 @@ impl Hybrid {
 
     fn evolution(&self) -> Result<Box<CmaEs>, FitError> {
         let options = CmaOptions {
-            population: Some(self.population << self.round.min(6)),
+            population: Some(self.population),
             generations: self.options.generations,
             sigma: self.options.sigma,
             share: self.options.shares[0],
@@ -163,7 +163,8 @@ impl Hybrid {
                     // What fits the beginning far worse will not fit the whole better.
                     let least = ends[0].loss;
                     ends.retain(|end| end.loss <= 2.0 * least.abs() + least + 10.0);
-                    let starts = apart(&ends, self.options.leaders, &self.bounds);
+                    let most = (self.options.leaders >> (stage + 1)).max(2);
+                    let starts = apart(&ends, most, &self.bounds);
                     self.refinement(stage + 1, &starts)
                 }
             }
@@ -197,7 +198,8 @@ impl Hybrid {
 /// The first `count` points, best first, that lie apart from each other.
 fn apart(points: &[Best], count: usize, bounds: &Bounds) -> Vec<Vec<f64>> {
     let mut found: Vec<Vec<f64>> = Vec::new();
-    for Best { point, .. } in points {
+    let mut losses: Vec<f64> = Vec::new();
+    for Best { point, loss } in points {
         let near = |other: &Vec<f64>| {
             let square = point.iter().zip(other).enumerate().map(|(i, (a, b))| {
                 let width = bounds.scale(i, *a);
@@ -205,8 +207,11 @@ fn apart(points: &[Best], count: usize, bounds: &Bounds) -> Vec<Vec<f64>> {
             });
             square.sum::<f64>().sqrt() < 1e-3
         };
-        if found.len() < count && !found.iter().any(near) {
+        // Where not everything is determined, one minimum has many points.
+        let same = |other: &f64| (loss - other).abs() <= 1e-3 + 1e-7 * loss.abs();
+        if found.len() < count && !found.iter().any(near) && !losses.iter().any(same) {
             found.push(point.clone());
+            losses.push(*loss);
         }
     }
     found

@@ -132,7 +132,9 @@ impl<S: Simd, T: InMemory> StepInputs<T::On<S>> for InBlock<'_, T, S> {
     }
     #[inline(always)]
     fn stamp(&self, port: usize, index: usize) -> [T::On<S>; 3] {
-        self.stamps.stamp(self.block, port, index).map(|stamp| T::load::<S>(&stamp))
+        // Not `map`: what it calls would be compiled for the baseline.
+        let [seq, sent, received] = self.stamps.stamp(self.block, port, index);
+        [T::load::<S>(&seq), T::load::<S>(&sent), T::load::<S>(&received)]
     }
     #[inline(always)]
     fn payload(&self, port: usize, index: usize) -> &[T::On<S>] {

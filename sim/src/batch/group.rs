@@ -317,6 +317,11 @@ pub(crate) struct Made<'a, T> {
 }
 
 impl<T: Number> Made<'_, T> {
+    /// How many blocks the group's environments fill.
+    pub(crate) fn blocks(&self) -> usize {
+        self.members.len().div_ceil(T::LANES)
+    }
+
     /// The message of every environment of a block.
     #[inline(always)]
     pub(crate) fn block(&self, block: usize) -> &[T] {

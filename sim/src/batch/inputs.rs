@@ -65,12 +65,9 @@ struct Select<'a, T> {
     alphas: &'a [T],
 }
 
-/// What a place in the window is when a given candidate is the newest that is there.
+/// The line on which a place in the window lies when a given candidate is the newest that is there.
 struct Held {
-    candidate: usize,
-    /// The candidate towards which the payload lies; itself where it holds.
-    after: usize,
-    /// When it was sent, s before the start; and how much later the next one was, s.
+    /// When its message was sent, s after the start; and how much later the next one was, s.
     sent: f64,
     gap: f64,
     /// How much later the newest one was sent, s.
@@ -78,29 +75,22 @@ struct Held {
 }
 
 impl<T> Select<'_, T> {
-    fn held(&self, newest: usize, index: usize) -> Held {
-        let candidate = newest + 1 - self.window + index;
-        let last = self.seqs.len() - 1;
-        // Before the first message and after the last it holds.
-        let holds = self.seqs[candidate] < 0 || candidate == last;
-        let after = match self.delay.interpolation {
-            Interpolation::Linear if !holds => candidate + 1,
-            _ => candidate,
-        };
-        let seconds = |later: Nanos, earlier: Nanos| to_seconds(later.saturating_sub(earlier));
-        Held {
-            candidate,
-            after,
-            sent: seconds(self.sent[candidate], self.start),
-            gap: seconds(self.sent[after], self.sent[candidate]),
-            before_newest: seconds(self.sent[newest], self.sent[candidate]),
-        }
+    /// The candidate towards which the payload lies: before the first message and after the last it holds.
+    #[inline(always)]
+    fn after(&self, candidate: usize) -> usize {
+        let holds = self.seqs[candidate] < 0 || candidate == self.seqs.len() - 1;
+        if holds { candidate } else { candidate + 1 }
     }
 
-    /// What differs from place to place, as numbers.
-    fn numbers(&self, held: &Held) -> [f64; 5] {
-        let sent = to_seconds(self.sent[held.candidate]);
-        [f64::from(self.seqs[held.candidate]), sent, held.sent, held.gap, held.before_newest]
+    #[inline(always)]
+    fn held(&self, newest: usize, index: usize) -> Held {
+        let candidate = newest + 1 - self.window + index;
+        let sent = |candidate: usize| self.sent[candidate];
+        Held {
+            sent: to_seconds(sent(candidate).saturating_sub(self.start)),
+            gap: to_seconds(sent(self.after(candidate)).saturating_sub(sent(candidate))),
+            before_newest: to_seconds(sent(newest).saturating_sub(sent(candidate))),
+        }
     }
 }
 
@@ -120,6 +110,9 @@ impl<T: InMemory> Select<'_, T> {
     }
 }
 
+/// For so many candidates, whether they are there is found once for all that is selected.
+const KEPT: usize = 16;
+
 impl<T: InMemory> Kernel for Select<'_, T> {
     type Output = ();
 
@@ -127,45 +120,81 @@ impl<T: InMemory> Kernel for Select<'_, T> {
     fn run<S: Simd>(self) {
         let (min, max) = (to_seconds(self.delay.min), to_seconds(self.delay.max));
         let (zero, one) = (T::On::<S>::constant(0.0), T::On::<S>::constant(1.0));
-        let last = self.seqs.len() - 1;
+        let (last, window) = (self.seqs.len() - 1, self.window);
         let linear = self.delay.interpolation == Interpolation::Linear;
         for block in 0..self.alphas.len() {
-            let alpha = T::load::<S>(&self.alphas[block]).max(zero).min(one);
+            // At a bound it is the number itself that is kept, with its derivative.
+            let alpha = one.min(zero.max(T::load::<S>(&self.alphas[block])));
             let seconds = alpha * (max - min) + min;
             let until = -seconds;
-            for index in 0..self.window {
-                let first = self.held(self.window - 1, index);
-                // Number, sent (s), and for lines: sent before the start, distance to the next, distance of the newest.
-                let mut picked = self.numbers(&first).map(T::On::<S>::constant);
-                // Candidates are in the order in which they were sent: whose successor is there is not the newest.
-                for newest in self.window..=last {
-                    let there = self.there::<S>(newest, until);
-                    let numbers = self.numbers(&self.held(newest, index));
-                    for (old, new) in picked.iter_mut().zip(numbers) {
-                        *old = T::On::<S>::select(there, T::On::<S>::constant(new), *old);
-                    }
+            // Candidates are in the order in which they were sent: whose successor is there is not the newest.
+            let mut kept = [zero.lt(zero); KEPT];
+            for (mask, newest) in kept.iter_mut().zip(window..=last) {
+                *mask = self.there::<S>(newest, until);
+            }
+            for index in 0..window {
+                let first = index;
+                let mut seq = T::On::<S>::constant(f64::from(self.seqs[first]));
+                let mut sent = T::On::<S>::constant(to_seconds(self.sent[first]));
+                for newest in window..=last {
+                    let held = newest + 1 - window + index;
+                    let there = match newest - window {
+                        k if k < KEPT => kept[k],
+                        _ => self.there::<S>(newest, until),
+                    };
+                    let (number, time) = (f64::from(self.seqs[held]), to_seconds(self.sent[held]));
+                    seq = T::On::<S>::select(there, T::On::<S>::constant(number), seq);
+                    sent = T::On::<S>::select(there, T::On::<S>::constant(time), sent);
                 }
-                let [seq, sent, base, gap, lead] = picked;
+                let stamps = &mut self.stamps[block * window + index];
+                T::store::<S>(&mut stamps[0], seq);
+                T::store::<S>(&mut stamps[1], sent);
                 let received = T::On::<S>::select(seq.lt(zero), zero, sent + seconds);
-                let stamps = &mut self.stamps[block * self.window + index];
-                for (stamp, value) in stamps.iter_mut().zip([seq, sent, received]) {
-                    T::store::<S>(stamp, value);
-                }
+                T::store::<S>(&mut stamps[2], received);
+
                 // How far the payload lies on the way to the next message.
-                let moves = gap.gt(zero);
-                let share = (until - lead - base) / T::On::<S>::select(moves, gap, one);
-                let share = T::On::<S>::select(moves, share.max(zero).min(one), zero);
-                for leaf in 0..self.history.leaves() {
-                    let mut a = self.leaf::<S>(block, first.candidate, leaf);
-                    let mut b = self.leaf::<S>(block, first.after, leaf);
-                    for newest in self.window..=last {
+                let mut share = zero;
+                if linear {
+                    let held = self.held(window - 1, index);
+                    let mut base = T::On::<S>::constant(held.sent + held.before_newest);
+                    let mut gap = T::On::<S>::constant(held.gap);
+                    for newest in window..=last {
                         let held = self.held(newest, index);
-                        let there = self.there::<S>(newest, until);
-                        a = T::On::<S>::select(there, self.leaf::<S>(block, held.candidate, leaf), a);
-                        b = T::On::<S>::select(there, self.leaf::<S>(block, held.after, leaf), b);
+                        let there = match newest - window {
+                            k if k < KEPT => kept[k],
+                            _ => self.there::<S>(newest, until),
+                        };
+                        let line = T::On::<S>::constant(held.sent + held.before_newest);
+                        base = T::On::<S>::select(there, line, base);
+                        gap = T::On::<S>::select(there, T::On::<S>::constant(held.gap), gap);
                     }
-                    let between = if linear { a + share * (b - a) } else { a };
-                    T::registers_mut::<S>(self.seen.message_mut(block, index))[leaf] = between;
+                    let moves = gap.gt(zero);
+                    let along = (until - base) / T::On::<S>::select(moves, gap, one);
+                    share = T::On::<S>::select(moves, one.min(zero.max(along)), zero);
+                }
+                for leaf in 0..self.history.leaves() {
+                    let mut a = self.leaf::<S>(block, first, leaf);
+                    for newest in window..=last {
+                        let there = match newest - window {
+                            k if k < KEPT => kept[k],
+                            _ => self.there::<S>(newest, until),
+                        };
+                        let held = newest + 1 - window + index;
+                        a = T::On::<S>::select(there, self.leaf::<S>(block, held, leaf), a);
+                    }
+                    if linear {
+                        let mut b = self.leaf::<S>(block, self.after(first), leaf);
+                        for newest in window..=last {
+                            let there = match newest - window {
+                                k if k < KEPT => kept[k],
+                                _ => self.there::<S>(newest, until),
+                            };
+                            let after = self.after(newest + 1 - window + index);
+                            b = T::On::<S>::select(there, self.leaf::<S>(block, after, leaf), b);
+                        }
+                        a += share * (b - a);
+                    }
+                    T::registers_mut::<S>(self.seen.message_mut(block, index))[leaf] = a;
                 }
             }
         }
@@ -221,8 +250,7 @@ impl<T: Number> BlockStamps<T> for SlotStamps<'_, T> {
             return selected.stamps[block * selected.window + index];
         }
         let place = self.row * input.candidates + index;
-        let stamps =
-            [f64::from(input.seq[place]), to_seconds(input.sent[place]), to_seconds(input.received[place])];
-        stamps.map(T::constant)
+        let (sent, received) = (to_seconds(input.sent[place]), to_seconds(input.received[place]));
+        [T::constant(f64::from(input.seq[place])), T::constant(sent), T::constant(received)]
     }
 }

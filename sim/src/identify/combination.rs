@@ -33,68 +33,74 @@ pub(super) struct Member<'a> {
     pub(super) slope: f64,
 }
 
-/// Directions of the coordinates in which the information is too little: the numbers would be free to cross their bounds.
-/// Coordinates are in widths of the bounds.
-pub(super) struct Free {
-    /// One direction a column, orthonormal.
-    pub(super) directions: DMatrix<f64>,
-    /// The covariance of what is determined.
+/// How sure the coordinates are, which stand in widths of their bounds.
+pub(super) struct Spread {
+    /// Their covariance; directions without any information are as wide as [`OPEN`].
     pub(super) covariance: DMatrix<f64>,
 }
 
-/// A direction whose standard deviation is larger than this, in widths of the bounds, is free.
-const FREE: f64 = 2.0;
+/// What the data say nothing of has this standard deviation, in widths of the bounds.
+const OPEN: f64 = 1e3;
+/// What has a larger one is not determined: it could be anywhere between its bounds.
+const LOOSE: f64 = 1.0;
+/// A combination is determined where its standard deviation is below this: of the logarithm of a product, or in widths of
+/// the bounds of delays.
+const FIRM: f64 = 0.25;
 
-pub(super) fn free(information: &DMatrix<f64>) -> Free {
-    let n = information.nrows();
-    let SymmetricEigen { eigenvectors, eigenvalues } = information.clone().symmetric_eigen();
-    let rounding = 1e-13 * eigenvalues.iter().fold(0.0, |a: f64, b| a.max(b.abs()));
-    let is_free = |value: f64| value <= rounding || 1.0 / value.sqrt() > FREE;
-    let columns: Vec<DVector<f64>> =
-        (0..n).filter(|&k| is_free(eigenvalues[k])).map(|k| eigenvectors.column(k).clone_owned()).collect();
-    let inverse = eigenvalues.map(|value| if is_free(value) { 0.0 } else { 1.0 / value });
-    let covariance = &eigenvectors * DMatrix::from_diagonal(&inverse) * eigenvectors.transpose();
-    let directions = if columns.is_empty() { DMatrix::zeros(n, 0) } else { DMatrix::from_columns(&columns) };
-    Free { directions, covariance }
+/// A sum of delays is named where its standard deviation is below this share of what the single ones' would make it.
+const BETTER: f64 = 0.25;
+
+impl Spread {
+    /// Of this information.
+    pub(super) fn new(information: &DMatrix<f64>) -> Self {
+        let SymmetricEigen { eigenvectors, eigenvalues } = information.clone().symmetric_eigen();
+        let inverse = eigenvalues.map(|value| 1.0 / (value.max(0.0) + OPEN.powi(-2)));
+        Self { covariance: &eigenvectors * DMatrix::from_diagonal(&inverse) * eigenvectors.transpose() }
+    }
+
+    /// The standard deviation of a coordinate, in widths of its bounds.
+    pub(super) fn std(&self, index: usize) -> f64 {
+        self.covariance[(index, index)].max(0.0).sqrt()
+    }
+
+    /// Whether the data determine a coordinate by itself.
+    pub(super) fn determines(&self, index: usize) -> bool {
+        self.std(index) < LOOSE
+    }
 }
 
 /// The combinations that are determined of numbers that are not, and which numbers those are.
-pub(super) fn combinations(members: &[Member<'_>], free: &Free) -> (Vec<usize>, Vec<Combination>) {
-    let n = members.len();
-    let d = free.directions.ncols();
-    if d == 0 {
-        return (Vec::new(), Vec::new());
-    }
-    // In the numbers' own scale: the logarithm of what is positive and multiplies, the number itself of the others.
-    let product = |m: &Member<'_>| m.sort == Sort::Parameter && m.value > 0.0;
-    let scale = |m: &Member<'_>| if product(m) { m.slope / m.value } else { m.slope };
-    let moves = DMatrix::from_fn(n, d, |i, k| free.directions[(i, k)] * scale(&members[i]));
-    let involved: Vec<usize> = (0..n).filter(|&i| free.directions.row(i).norm() > 1e-2).collect();
-
+pub(super) fn combinations(members: &[Member<'_>], spread: &Spread) -> (Vec<usize>, Vec<Combination>) {
+    let involved: Vec<usize> = (0..members.len()).filter(|&i| !spread.determines(i)).collect();
     let mut found: Vec<Combination> = Vec::new();
-    for group in [Sort::Parameter, Sort::Delay] {
-        let group: Vec<usize> = involved
-            .iter()
-            .copied()
-            .filter(|&i| members[i].sort == group && (group == Sort::Delay || product(&members[i])))
-            .collect();
-        if group.len() < 2 || group.len() > 12 {
+    for sort in [Sort::Parameter, Sort::Delay] {
+        let is_product = sort == Sort::Parameter;
+        let belongs = |m: &Member<'_>| m.sort == sort && (!is_product || m.value > 0.0);
+        // Delays in a row are told apart by little more than how a simulation rounds: their sum is always named.
+        let considered = (0..members.len()).filter(|i| sort == Sort::Delay || involved.contains(i));
+        let group: Vec<usize> = considered.filter(|&i| belongs(&members[i])).collect();
+        if !(2..=12).contains(&group.len()) {
             continue;
         }
-        let rows = DMatrix::from_fn(group.len(), d, |i, k| moves[(group[i], k)]);
-        // How many combinations there are to find: what the free directions leave of the group.
-        let rank = rows.clone().svd(false, false).rank(1e-6 * rows.norm().max(f64::MIN_POSITIVE));
-        let wanted = group.len().saturating_sub(rank);
+        // In the numbers' own scale: the logarithm of what multiplies, the number itself of what adds.
+        let widest = group.iter().map(|&i| members[i].slope.abs()).fold(f64::MIN_POSITIVE, f64::max);
+        let scale = |i: usize| members[i].slope / if is_product { members[i].value } else { widest };
+        let covariance = DMatrix::from_fn(group.len(), group.len(), |a, b| {
+            spread.covariance[(group[a], group[b])] * scale(group[a]) * scale(group[b])
+        });
+        let firm = |variance: f64| variance.max(0.0).sqrt() < FIRM;
+        let wanted = covariance.symmetric_eigenvalues().iter().filter(|value| firm(**value)).count();
         let mut basis: Vec<DVector<f64>> = Vec::new();
-        let largest = if group[0] < n && members[group[0]].sort == Sort::Delay { 1 } else { 2 };
-        for exponents in candidates(group.len(), largest) {
+        for exponents in candidates(group.len(), if is_product { 2 } else { 1 }) {
             if basis.len() == wanted {
                 break;
             }
             let vector = DVector::from_iterator(group.len(), exponents.iter().map(|&e| f64::from(e)));
-            let weights = DVector::from_fn(group.len(), |i, _| rows.row(i).norm() * vector[i].abs());
-            let moved = (rows.transpose() * &vector).norm();
-            if moved > 2e-3 * weights.sum() {
+            let variance = (vector.transpose() * &covariance * &vector)[0];
+            let alone: f64 = (0..group.len()).map(|k| vector[k] * vector[k] * covariance[(k, k)]).sum();
+            let together = exponents.iter().filter(|e| **e != 0).count() > 1;
+            let better = is_product || (together && variance.max(0.0) < BETTER * BETTER * alone);
+            if !firm(variance / vector.norm_squared()) || !better {
                 continue;
             }
             let mut rest = vector.clone();
@@ -103,13 +109,13 @@ pub(super) fn combinations(members: &[Member<'_>], free: &Free) -> (Vec<usize>, 
                 continue;
             }
             basis.push(rest.normalize());
-            found.push(combination(members, &group, &exponents, free));
+            found.push(combination(members, &group, &exponents, spread));
         }
     }
     (involved, found)
 }
 
-fn combination(members: &[Member<'_>], group: &[usize], exponents: &[i32], free: &Free) -> Combination {
+fn combination(members: &[Member<'_>], group: &[usize], exponents: &[i32], spread: &Spread) -> Combination {
     let n = members.len();
     let is_product = members[group[0]].sort != Sort::Delay;
     let factors: Vec<(usize, i32)> =
@@ -119,7 +125,7 @@ fn combination(members: &[Member<'_>], group: &[usize], exponents: &[i32], free:
         let m = &members[i];
         along[i] = f64::from(e) * if is_product { m.slope / m.value } else { m.slope };
     }
-    let relative = (along.transpose() * &free.covariance * &along)[0].max(0.0).sqrt();
+    let relative = (along.transpose() * &spread.covariance * &along)[0].max(0.0).sqrt();
     let value: f64 = if is_product {
         factors.iter().map(|&(i, e)| members[i].value.powi(e)).product()
     } else {
@@ -231,7 +237,7 @@ mod tests {
     #[test]
     fn of_four_constants_three_ratios_are_left() {
         // J, m, l, b: only m l/J and b/J matter, by their logarithms.
-        let free = free(&information(&[&[-1.0, 1.0, 1.0, 0.0], &[-1.0, 0.0, 0.0, 1.0]]));
+        let free = Spread::new(&information(&[&[-1.0, 1.0, 1.0, 0.0], &[-1.0, 0.0, 0.0, 1.0]]));
         let members: Vec<Member<'_>> = ["J", "m", "l", "b"]
             .into_iter()
             .map(|name| Member { name, value: 2.0, sort: Sort::Parameter, slope: 2.0 })
@@ -246,7 +252,7 @@ mod tests {
 
     #[test]
     fn of_two_delays_the_sum_is_left() {
-        let free = free(&information(&[&[1.0, 1.0, 0.0], &[0.0, 0.0, 1.0]]));
+        let free = Spread::new(&information(&[&[1.0, 1.0, 0.0], &[0.0, 0.0, 1.0]]));
         let member = |name, sort| Member { name, value: 0.01, sort, slope: 0.05 };
         let members = [member("a", Sort::Delay), member("b", Sort::Delay), member("x", Sort::State)];
         let (involved, found) = combinations(&members, &free);

@@ -3,7 +3,8 @@
 //! The recorded actions are replayed through the recording's computation graph, in which simulators take the place of what
 //! no node records (van der Heijden et al., "REX", section 3.3). What they predict is compared with what was recorded, and
 //! a solver of [`parallax_model::fit`] moves the unknown numbers until it fits: whole populations run on the lanes and the
-//! cores of the processor, and exact derivatives come from the same models on dual numbers. Coefficients that enter
+//! cores of the processor, derivatives are differences of neighbours on lanes while it searches, and exact ones, of the same
+//! models on dual numbers, where it ends and for Levenberg and Marquardt's method alone. Coefficients that enter
 //! linearly (a sensor's scale and offset, the map from an angle to a pixel) are solved for at every point, not searched.
 //!
 //! [`Specification`] says what is looked for, [`Problem`] binds it to recordings, [`identify`] finds it, and
@@ -15,6 +16,7 @@
 //! feels every microsecond of it. Where a model only takes the newest message at every tick, its delays are found to
 //! within a tick.
 
+mod apply;
 mod combination;
 mod coordinate;
 mod error;
@@ -33,6 +35,7 @@ use parallax_runtime::recording::Recording;
 use parallax_runtime::registry::Registry;
 use serde::{Deserialize, Serialize};
 
+pub use apply::identified_graph;
 pub use combination::Combination;
 pub use coordinate::Sort;
 pub use error::IdentifyError;
@@ -151,7 +154,7 @@ pub fn search(
             Checkpoint { problem: name, search, rollouts: 0 }
         }
     };
-    let directions = problem.coordinates.len().div_ceil(8).max(1) * problem.episodes;
+    let directions = (problem.coordinates.len() + 1) * problem.episodes;
     let mut best: Option<Best> = None;
     let stop: Option<Stop> = loop {
         let answer = match state.search.solver().ask() {
@@ -161,7 +164,10 @@ pub fn search(
             }
             Ask::Locals { points, share } => {
                 state.rollouts += (points.len() * directions) as u64;
-                Tell::Locals(evaluator.locals(&points, share))
+                match state.search {
+                    Search::LevenbergMarquardt(_) => Tell::Locals(evaluator.exact_locals(&points, share)),
+                    _ => Tell::Locals(evaluator.locals(&points, share)),
+                }
             }
             Ask::Done(stop) => break Some(stop),
         };

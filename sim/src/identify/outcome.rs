@@ -4,7 +4,7 @@ use nalgebra::DMatrix;
 use parallax_model::fit::{Best, Local, Stop};
 use serde::{Deserialize, Serialize};
 
-use super::combination::{Combination, Member, combinations, free};
+use super::combination::{Combination, Member, Spread, combinations};
 use super::coordinate::Sort;
 use super::error::IdentifyError;
 use super::evaluate::{Evaluator, Fit, wrapped};
@@ -15,6 +15,8 @@ use super::problem::Problem;
 pub struct Identified {
     /// Everything that was found: parameters, first states, delays, linear coefficients.
     pub estimates: Vec<Estimate>,
+    /// Their covariance, row by row, to first order in their own units; huge where the data say nothing.
+    pub covariance: Vec<f64>,
     /// What is determined where single numbers are not.
     pub combinations: Vec<Combination>,
     /// What that means, in sentences.
@@ -25,7 +27,7 @@ pub struct Identified {
     pub loss: f64,
     /// Why the search ended; absent: it was stopped.
     pub stop: Option<Stop>,
-    /// Rollouts of a recording that it took, those with derivatives counted once for each eight directions.
+    /// Rollouts of a recording that it took; one with derivatives counts once more for each parameter.
     pub rollouts: u64,
     /// What the search ended at, between 0 and 1.
     pub point: Vec<f64>,
@@ -91,6 +93,8 @@ pub struct Series {
     pub held_out_from: f64,
 }
 
+/// A coefficient whose uncertainty grows by this factor through the others is not determined.
+const LOOSE_COEFFICIENT: f64 = 1e3;
 /// 97.5 % of the normal distribution lie below this many standard deviations.
 const BELOW: f64 = 1.959_963_984_540_054;
 
@@ -121,15 +125,15 @@ pub(super) fn outcome(
     let n = values.len();
     let all = n + linear.len();
     let information = weighted(problem, &local, &fit);
-    // Linear coefficients have no bounds to compare with; they are in units of their own uncertainty.
+    // Linear coefficients have no bounds to compare with; their uncertainty without that of the others is.
     let scale: Vec<f64> = (0..all)
         .map(|i| match i < n {
             true => 1.0,
-            false => 1.0 / information[(i, i)].sqrt().max(f64::MIN_POSITIVE),
+            false => LOOSE_COEFFICIENT / information[(i, i)].sqrt().max(f64::MIN_POSITIVE),
         })
         .collect();
     let scaled = DMatrix::from_fn(all, all, |i, j| information[(i, j)] * scale[i] * scale[j]);
-    let free = free(&scaled);
+    let spread = Spread::new(&scaled);
 
     let mut members: Vec<Member<'_>> = Vec::new();
     for (coordinate, (value, slope)) in problem.coordinates.iter().zip(&values) {
@@ -138,20 +142,19 @@ pub(super) fn outcome(
     for (k, (name, value)) in linear.iter().enumerate() {
         members.push(Member { name, value: *value, sort: Sort::Linear, slope: scale[n + k] });
     }
-    let undetermined = |i: usize| free.directions.row(i).norm() > 1e-2;
-    let deviation = |i: usize| free.covariance[(i, i)].max(0.0).sqrt() * members[i].slope.abs();
+    let deviation = |i: usize| spread.std(i) * members[i].slope.abs();
 
     let mut estimates = Vec::with_capacity(all);
     for (i, member) in members.iter().enumerate() {
         let coordinate = problem.coordinates.get(i);
         let bounds = coordinate.map(|c| [c.low, c.high]);
         let at_bound = coordinate.is_some() && !(1e-6..=1.0 - 1e-6).contains(&best.point[i]);
-        let std = (!undetermined(i)).then(|| deviation(i));
+        let std = spread.determines(i).then(|| deviation(i));
         let interval = match (std, coordinate) {
             (Some(_), Some(c)) => {
                 // On the scale of the search, where the loss is more nearly a parabola.
                 let z = best.point[i];
-                let half = BELOW * free.covariance[(i, i)].max(0.0).sqrt();
+                let half = BELOW * spread.std(i);
                 [c.value((z - half).max(0.0)), c.value((z + half).min(1.0))]
             }
             (Some(std), None) => [member.value - BELOW * std, member.value + BELOW * std],
@@ -169,11 +172,16 @@ pub(super) fn outcome(
             unit: coordinate.map_or_else(String::new, |c| c.unit.clone()),
         });
     }
-    let (involved, combinations) = combinations(&members, &free);
+    let covariance = (0..all * all).map(|at| {
+        let (i, j) = (at / all, at % all);
+        spread.covariance[(i, j)] * members[i].slope * members[j].slope
+    });
+    let covariance = covariance.collect();
+    let (involved, combinations) = combinations(&members, &spread);
     let remarks = remarks(&estimates, &involved, &combinations);
     let outputs = scores(problem, evaluator, best, &fit)?;
     let (loss, point) = (local.cost, best.point.clone());
-    Ok(Identified { estimates, combinations, remarks, outputs, loss, stop, rollouts, point })
+    Ok(Identified { estimates, covariance, combinations, remarks, outputs, loss, stop, rollouts, point })
 }
 
 /// The information with the noise that is there: where predictions err by more than declared, their errors count.
@@ -207,17 +215,26 @@ fn remarks(estimates: &[Estimate], involved: &[usize], combinations: &[Combinati
             .filter(|c| c.product == (sort == Sort::Parameter))
             .map(|c| c.text.as_str())
             .collect();
-        let alone = match found.len() {
-            0 => "nothing of them by itself".to_owned(),
-            _ => format!("only {}", found.join(", ")),
-        };
-        let many = names.len() > 1;
-        let verb = if many { "are" } else { "is" };
+        remarks.push(match (names.len(), found.len()) {
+            (1, _) => format!("the data do not determine {}", names[0]),
+            (_, 0) => format!("the data do not determine the {what} {}", names.join(", ")),
+            (all, some) => format!(
+                "of the {all} {what} {} the data determine only {some} combination{}: {}. To know each by itself, fix {} or \
+                 give priors.",
+                names.join(", "),
+                if some == 1 { "" } else { "s" },
+                found.join(", "),
+                if all - some == 1 { "one of them".to_owned() } else { format!("{} of them", all - some) },
+            ),
+        });
+    }
+    let told = |names: &[(String, f64)]| {
+        names.iter().all(|(name, _)| estimates.iter().any(|e| e.name == *name && e.std.is_some()))
+    };
+    for sum in combinations.iter().filter(|c| !c.product && told(&c.factors)) {
         remarks.push(format!(
-            "the data do not determine the {what} {} one by one: {alone} {verb} determined. Fix {} to a known value, or add \
-             a prior, and the rest follows.",
-            names.join(", "),
-            if many { "as many of them as are too many" } else { "it" },
+            "the data tell {} far better than each of these delays by itself: take single ones with care",
+            sum.text
         ));
     }
     let states: Vec<&str> = involved
@@ -277,6 +294,18 @@ impl Identified {
     /// The estimate of this name.
     pub fn estimate(&self, name: &str) -> Option<&Estimate> {
         self.estimates.iter().find(|estimate| estimate.name == name)
+    }
+
+    /// The sum of several numbers, with its standard deviation: what the data tell of delays in a row is their sum. None
+    /// where one of them was not asked for.
+    pub fn sum(&self, names: &[&str]) -> Option<(f64, f64)> {
+        let place = |name: &&str| self.estimates.iter().position(|estimate| estimate.name == **name);
+        let places: Vec<usize> = names.iter().map(place).collect::<Option<_>>()?;
+        let value = places.iter().map(|&i| self.estimates[i].value).sum();
+        let all = self.estimates.len();
+        let pairs = places.iter().flat_map(|&i| places.iter().map(move |&j| (i, j)));
+        let variance: f64 = pairs.map(|(i, j)| self.covariance[i * all + j]).sum();
+        Some((value, variance.max(0.0).sqrt()))
     }
 
     /// Predictions at the estimate beside what was recorded.

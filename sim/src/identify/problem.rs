@@ -113,8 +113,9 @@ impl Problem {
         let compiled = compile(&graph, &augmented.episodes, &options)?;
         let given = pinned.iter().map(|&node| given(&graph, node, recordings)).collect();
         let outputs = specification.outputs.iter();
-        let outputs =
+        let mut outputs =
             outputs.map(|output| compared(&graph, output, recordings)).collect::<Result<Vec<_>, _>>()?;
+        outputs.iter_mut().for_each(|output| leave_out_what_does_not_run(output, &compiled));
         let coordinates = coordinates(&graph, specification, recordings.len())?;
         let spans = recordings.iter().map(|recording| span(recording, specification)).collect();
         let episodes = recordings.len();
@@ -239,9 +240,7 @@ fn augmentation<'a>(
         augmentation = augmentation.node(node, 0.0);
     }
     for edge in &specification.connections {
-        let expected = Delay::constant(edge.delay.expected());
-        let edge = ConnectionSpec { blocking: false, ..edge.clone() };
-        augmentation = augmentation.connect(edge, EdgeDelay::Given(expected));
+        augmentation = known(augmentation, edge, &added);
     }
     // What flows from and to simulators, and is not to be found, takes as long as the graph expects.
     for edge in &graph.spec().connections {
@@ -249,9 +248,7 @@ fn augmentation<'a>(
         let hidden = specification.delays.iter().any(|delay| feeds(delay, edge));
         let same = |new: &ConnectionSpec| new.to == edge.to && new.port() == edge.port();
         if touches && !hidden && !specification.connections.iter().any(same) {
-            let expected = Delay::constant(edge.delay.expected());
-            let edge = ConnectionSpec { blocking: false, ..edge.clone() };
-            augmentation = augmentation.connect(edge, EdgeDelay::Given(expected));
+            augmentation = known(augmentation, edge, &added);
         }
     }
     for delay in &specification.delays {
@@ -265,7 +262,8 @@ fn augmentation<'a>(
             let is_there = graph.index(end).is_some() || added.contains(end);
             if !is_there {
                 let known: Vec<&str> = graph.nodes().iter().map(|node| node.name.as_str()).collect();
-                let known = known.into_iter().chain(added.iter().map(String::as_str));
+                let new = added.iter().map(String::as_str).filter(|name| graph.index(name).is_none());
+                let known = known.iter().copied().chain(new);
                 return Err(IdentifyError::Unknown {
                     whose,
                     what: "node",
@@ -284,11 +282,26 @@ fn augmentation<'a>(
         let interpolation = delay.interpolation.unwrap_or(suited);
         let whole = simulator && interpolation == Interpolation::Hold;
         let window = delay.window.unwrap_or(if whole { edge.window.max(3) } else { edge.window });
-        let edge = ConnectionSpec { blocking: false, skip: false, window, ..edge.clone() };
+        // What arrives at the very tick is of the next one; so loops through a simulator are none.
+        let skip = edge.skip || simulator;
+        let edge = ConnectionSpec { blocking: false, skip, window, ..edge.clone() };
         augmentation =
             augmentation.connect(edge, EdgeDelay::Trainable { min: delay.min, max, interpolation });
     }
     Ok(augmentation)
+}
+
+/// A connection whose delay is known. What a simulator sends is seen between its ticks.
+fn known<'a>(augmentation: Augmentation<'a>, edge: &ConnectionSpec, added: &[String]) -> Augmentation<'a> {
+    let seconds = edge.delay.expected();
+    let simulator = added.contains(&edge.to);
+    let window = if simulator { edge.window.max(3) } else { edge.window };
+    let edge = ConnectionSpec { blocking: false, skip: edge.skip || simulator, window, ..edge.clone() };
+    let delay = match added.contains(&edge.from) {
+        true => EdgeDelay::Trainable { min: seconds, max: seconds, interpolation: Interpolation::Linear },
+        false => EdgeDelay::Given(Delay::constant(seconds)),
+    };
+    augmentation.connect(edge, delay)
 }
 
 /// The longest a delay can be, s.
@@ -373,6 +386,23 @@ fn compared(graph: &Graph, output: &Output, recordings: &[Recording]) -> Result<
     let names = output.linear.iter().map(|term| term.name.clone()).collect();
     let Output { wrap, noise, .. } = *output;
     Ok(Compared { name, node, leaf: place, terms, names, wrap, noise, values, times })
+}
+
+/// Steps after the supervisor's last one belong to no pass: nothing is predicted for them.
+fn leave_out_what_does_not_run(output: &mut Compared, compiled: &CompiledGraph) {
+    let mut runs: Vec<Vec<bool>> = output.values.iter().map(|values| vec![false; values.len()]).collect();
+    for slot in compiled.slots.iter().filter(|slot| slot.node == output.node) {
+        for (episode, runs) in runs.iter_mut().enumerate() {
+            for row in compiled.row(episode, 0)..compiled.row(episode + 1, 0) {
+                if slot.rows.run[row] != 0 {
+                    runs[slot.rows.seq[row] as usize] = true;
+                }
+            }
+        }
+    }
+    for (values, runs) in output.values.iter_mut().zip(runs) {
+        values.iter_mut().zip(runs).filter(|(_, runs)| !runs).for_each(|(value, _)| *value = f64::NAN);
+    }
 }
 
 fn coordinates(
@@ -471,6 +501,7 @@ fn place(graph: &Graph, target: &Target, whose: &str) -> Result<Place, IdentifyE
 fn span(recording: &Recording, specification: &Specification) -> [f64; 3] {
     let (from, to) = specification.span;
     let end = to_seconds(recording.duration).min(to);
-    let from = from.max(0.0);
+    // Before that, what a sensor sees may be from before the first state.
+    let from = from.max(specification.delays.iter().map(longest).sum());
     [from, end - specification.hold_out * (end - from).max(0.0), end]
 }

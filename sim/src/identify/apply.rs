@@ -1,0 +1,124 @@
+//! What was found as a graph that runs.
+
+use parallax_runtime::delay::Delay;
+use parallax_runtime::graph::{GraphSpec, NodeSpec};
+use parallax_runtime::node::NodeContext;
+use parallax_runtime::registry::{NodeKind, Registry};
+use serde_json::{Map, Value};
+
+use super::coordinate::Sort;
+use super::outcome::Identified;
+use super::problem::Problem;
+use crate::batch::Place;
+
+/// Which number of a model a parameter in a graph is to set.
+#[derive(Clone, Copy)]
+enum Number {
+    Param(usize),
+    State(usize),
+}
+
+/// The graph of a problem with what was found in it: simulators, parameters, first states (of the first recording) and
+/// hidden delays. Also what could not be written into it, in sentences: a kind may not let a graph set every number that
+/// its model has.
+pub fn identified_graph(
+    problem: &Problem,
+    found: &Identified,
+    registry: &Registry,
+) -> (GraphSpec, Vec<String>) {
+    let mut spec = problem.graph().spec().clone();
+    let mut notes = Vec::new();
+    for (coordinate, estimate) in problem.coordinates.iter().zip(&found.estimates) {
+        if coordinate.recording.is_some_and(|recording| recording > 0) {
+            continue;
+        }
+        for place in &coordinate.places {
+            let (node, number) = match *place {
+                Place::Delay { connection } => {
+                    spec.connections[connection].delay = Delay::constant(estimate.value);
+                    continue;
+                }
+                Place::Param { node, leaf } => (node, Number::Param(leaf)),
+                Place::State { node, leaf } => (node, Number::State(leaf)),
+            };
+            let kind = &problem.graph().nodes()[node].kind;
+            if !set(&mut spec.nodes[node], kind, number, estimate.value) {
+                notes.push(format!(
+                    "the kind of node `{}` does not let a graph set `{}`",
+                    spec.nodes[node].name, estimate.name
+                ));
+            }
+        }
+    }
+    for estimate in found.estimates.iter().filter(|estimate| estimate.sort == Sort::Linear) {
+        let place = estimate.name.split_once('.').and_then(|(name, leaf)| {
+            let index = problem.graph().index(name)?;
+            let kind = &problem.graph().nodes()[index].kind;
+            let leaf = kind.node_model()?.model().params().iter().position(|known| known == leaf)?;
+            Some((index, kind, leaf))
+        });
+        let written = place.is_some_and(|(index, kind, leaf)| {
+            set(&mut spec.nodes[index], kind, Number::Param(leaf), estimate.value)
+        });
+        if !written {
+            notes.push(format!("the coefficient `{}` is no parameter of the graph", estimate.name));
+        }
+    }
+    if let Err(error) = spec.validate(registry) {
+        notes.push(format!("the graph cannot run as it is: {error}"));
+    }
+    (spec, notes)
+}
+
+/// Sets the entry of a node's parameters that moves a number of its model, if there is one: named like the whole leaf, as
+/// tables within tables, or like its last part.
+fn set(node: &mut NodeSpec, kind: &NodeKind, number: Number, value: f64) -> bool {
+    let Some(model) = kind.node_model() else { return false };
+    let leaf = match number {
+        Number::Param(leaf) => model.model().params().get(leaf).cloned(),
+        Number::State(leaf) => model.model().state().get(leaf).cloned(),
+    };
+    let Some(leaf) = leaf else { return false };
+    let parts: Vec<&str> = leaf.split('.').collect();
+    let section = match number {
+        Number::Param(_) => "parameters",
+        Number::State(_) => "initial",
+    };
+    let last = &parts[parts.len() - 1..];
+    for path in [&parts[..], last, &[&[section], &parts[..]].concat()] {
+        let mut changed = node.clone();
+        if !insert(&mut changed.parameters, path, value) {
+            continue;
+        }
+        let context = NodeContext {
+            name: changed.name.clone(),
+            rate: changed.rate,
+            seed: 0,
+            parameters: changed.parameters.clone(),
+        };
+        let Ok(start) = model.start(&context) else { continue };
+        let now = match number {
+            Number::Param(leaf) => start.params[leaf],
+            Number::State(leaf) => start.state[leaf],
+        };
+        if (now - value).abs() <= 1e-12 * value.abs() {
+            *node = changed;
+            return true;
+        }
+    }
+    false
+}
+
+fn insert(parameters: &mut Map<String, Value>, path: &[&str], value: f64) -> bool {
+    match path {
+        [] => false,
+        [last] => {
+            parameters.insert((*last).to_owned(), Value::from(value));
+            true
+        }
+        [first, rest @ ..] => {
+            let inner = parameters.entry((*first).to_owned()).or_insert_with(|| Value::Object(Map::new()));
+            inner.as_object_mut().is_some_and(|inner| insert(inner, rest, value))
+        }
+    }
+}
