@@ -16,9 +16,9 @@ const SPEC: &str = include_str!("../examples/identify/pendulum.toml");
 /// A recording of the demo's graph, whose world hides a delay of the commands.
 fn record(path: &Path, delay: f64) {
     let registry = pendulum::kinds(Registry::new(), HiddenEffect::Delay { delay });
-    let graph = pendulum::graph().validate(&registry).unwrap();
-    let recording = Executor::new(graph, 5).record(8_000_000_000).unwrap();
-    write(path, &recording).unwrap();
+    let graph = pendulum::graph().validate(&registry).expect("the demo's graph");
+    let recording = Executor::new(graph, 5).record(8_000_000_000).expect("a run");
+    write(path, &recording).expect("a file");
 }
 
 #[test]

@@ -50,8 +50,8 @@ fn hidden(name: &str, from: &str, to: &str, max: Option<f64>) -> HiddenDelay {
 fn recording(delay: f64, seconds: i64) -> Recording {
     let effect = pendulum::hidden::HiddenEffect::Delay { delay };
     let registry = pendulum::kinds(parallax_runtime::registry::Registry::new(), effect);
-    let graph = pendulum::graph().validate(&registry).unwrap();
-    Executor::new(graph, 3).record(seconds * 1_000_000_000).unwrap()
+    let graph = pendulum::graph().validate(&registry).expect("the demo's graph");
+    Executor::new(graph, 3).record(seconds * 1_000_000_000).expect("a run")
 }
 
 fn specification() -> Specification {
@@ -167,7 +167,7 @@ fn a_search_is_stopped_and_taken_up_again_on_one_thread_or_many() {
     let text = serde_json::to_string(&kept.unwrap()).unwrap();
     let again: Checkpoint = serde_json::from_str(&text).unwrap();
     let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    let resumed = one.install(|| search(&problem, &method, Some(again.clone()), &mut go)).unwrap();
+    let resumed = one.install(|| search(&problem, &method, Some(again.clone()), &mut go).unwrap());
     assert_eq!(resumed, whole);
 
     let mut other = specification();

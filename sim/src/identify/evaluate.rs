@@ -429,11 +429,10 @@ impl<'p> Evaluator<'p> {
                         .collect();
                     let count = parts.first().map_or(0, |part| part.len());
                     let mut slopes = Vec::with_capacity(count * n);
-                    for at in 0..count {
-                        for j in 0..n {
-                            slopes.push(parts[j / DIRECTIONS][at].gradient[j % DIRECTIONS]);
-                        }
-                    }
+                    let gradient = |at: usize, j: usize| parts[j / DIRECTIONS][at].gradient[j % DIRECTIONS];
+                    slopes.extend(
+                        (0..count).flat_map(|at| (0..n).map(move |j| (at, j))).map(|(at, j)| gradient(at, j)),
+                    );
                     trace.values.push((0..count).map(|at| parts[0][at].value).collect());
                     trace.slopes.push(slopes);
                 }
