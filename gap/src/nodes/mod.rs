@@ -9,6 +9,7 @@ use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use parallax_model::system::System;
+use parallax_runtime::data::DataSpace;
 use parallax_runtime::node::{ErasedNode, NodeContext, NodeError, Step};
 use parallax_runtime::recording::{NodeTrack, Recording};
 use parallax_runtime::registry::{NodeKind, Registry};
@@ -150,9 +151,8 @@ struct Listener {
     heard: Heard,
 }
 
-impl ErasedNode for Listener {
-    fn step_into(&mut self, step: &Step<'_>, output: &mut [f64]) -> Result<(), NodeError> {
-        self.node.step_into(step, output)?;
+impl Listener {
+    fn hear(&self, output: &[f64]) {
         let mut all = self.heard.0.lock().unwrap_or_else(PoisonError::into_inner);
         if all.last().is_none_or(|last| last.0 != self.name) {
             all.push((self.name.clone(), Vec::new()));
@@ -160,6 +160,24 @@ impl ErasedNode for Listener {
         if let Some(last) = all.last_mut() {
             last.1.extend_from_slice(output);
         }
+    }
+}
+
+impl ErasedNode for Listener {
+    fn step_into(&mut self, step: &Step<'_>, output: &mut [f64]) -> Result<(), NodeError> {
+        self.node.step_into(step, output)?;
+        self.hear(output);
+        Ok(())
+    }
+
+    fn step_with_data(
+        &mut self,
+        step: &Step<'_>,
+        output: &mut [f64],
+        data: &mut DataSpace<'_>,
+    ) -> Result<(), NodeError> {
+        self.node.step_with_data(step, output, data)?;
+        self.hear(output);
         Ok(())
     }
 
