@@ -1,5 +1,7 @@
 //! `parallax identify` from a recording to a graph that runs, and what it says of files that cannot be used.
 
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
 mod command;
 
 use std::fs;

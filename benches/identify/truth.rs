@@ -39,8 +39,14 @@ pub(crate) fn delay(found: &Identified, names: &[&str]) -> (f64, Option<f64>) {
 pub(crate) fn send(recording: &mut Recording, node: &str, payload: impl Fn(usize) -> Vec<f64>) {
     let track = recording.nodes.iter_mut().find(|track| track.name == node).expect("a node of the graph");
     let steps = track.steps.iter().enumerate();
-    track.messages =
-        steps.map(|(k, step)| MessageRecord { seq: step.seq, sent: step.end, payload: payload(k) }).collect();
+    track.messages = steps
+        .map(|(k, step)| MessageRecord {
+            seq: step.seq,
+            sent: step.end,
+            payload: payload(k),
+            data: Default::default(),
+        })
+        .collect();
 }
 
 /// When a node's messages were sent and what they held, s.

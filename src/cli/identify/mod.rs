@@ -78,9 +78,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     let found = match arguments.resume {
         true => {
             let checkpoint = read(&notes)?;
-            Problem::new(&recordings, &registry, &file.specification).and_then(|problem| {
-                search(&problem, &file.method, Some(checkpoint), &mut each).map(|found| (problem, found))
-            })
+            let problem = Problem::new(&recordings, &registry, &file.specification)
+                .map_err(|error| file.failure(error))?;
+            search(&problem, &file.method, Some(checkpoint), &mut each).map(|found| (problem, found))
         }
         false => identify(&recordings, &registry, &file.specification, &file.method, &mut each),
     };
