@@ -26,16 +26,11 @@ pub(crate) fn figures(found: &Identified, reconstructions: &[Reconstruction]) ->
     figures
 }
 
-/// What is shown of a recording: the time that no fit has seen, else all of it.
+/// What is shown of a recording: all of the time that is compared.
 fn shown(series: &Series) -> Vec<usize> {
-    let last = series.times.len().saturating_sub(1);
-    let end = series.times.get(last).copied().unwrap_or(0.0);
-    let held_out = series.held_out_from < end - 1e-9;
     let usable = |k: &usize| series.predicted[*k].is_finite() && series.recorded[*k].is_finite();
-    (0..series.times.len())
-        .filter(usable)
-        .filter(|&k| !held_out || series.times[k] >= series.held_out_from)
-        .collect()
+    let compared = |k: &usize| series.times[*k] <= series.compared_until + 1e-9;
+    (0..series.times.len()).filter(|k| usable(k) && compared(k)).collect()
 }
 
 fn overlay(found: &Identified, output: &Reconstruction) -> Figure {
@@ -50,7 +45,7 @@ fn overlay(found: &Identified, output: &Reconstruction) -> Figure {
         title: output.output.clone(),
         note: format!(
             "Grey: recorded. Blue: predicted open loop, from the first state and the recorded commands alone; nothing \
-             recorded corrects it on the way.{error}"
+             recorded corrects it on the way. Shaded: time that no fit has seen.{error}"
         ),
         wide: panels(output, WIDE),
         narrow: panels(output, NARROW),
@@ -92,6 +87,10 @@ fn panel(pen: &mut Pen, output: &Reconstruction, series: &Series, top: f64, wide
     let (from, to) = (series.times[first], series.times[last].max(series.times[first] + 1e-9));
     let x = |time: f64| left + (wide - left - 4.0) * (time - from) / (to - from);
     let y = |value: f64| scale.y(value, top, PANEL);
+    if series.held_out_from < to - 1e-9 {
+        let begin = x(series.held_out_from.max(from));
+        pen.rect("band", (begin, top), (wide - 4.0 - begin, PANEL));
+    }
     for (value, label) in &scale.ticks {
         pen.line("rule", (left, y(*value)), (wide - 4.0, y(*value)));
         pen.text("tick", (left - 6.0, y(*value) + 4.0), Anchor::End, label);

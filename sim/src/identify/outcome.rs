@@ -91,6 +91,8 @@ pub struct Series {
     pub predicted: Vec<f64>,
     /// From when on no fit has seen it, s.
     pub held_out_from: f64,
+    /// Until when it is compared, s: `to` of the specification, or the recording's end.
+    pub compared_until: f64,
 }
 
 /// A coefficient whose uncertainty grows by this factor through the others is not determined.
@@ -325,6 +327,7 @@ impl Identified {
                 recorded: output.values[episode].clone(),
                 predicted,
                 held_out_from: problem.spans[episode][1],
+                compared_until: problem.spans[episode][2],
             });
             let recordings = series.collect();
             Reconstruction { output: output.name.clone(), wrap: output.wrap, recordings }
