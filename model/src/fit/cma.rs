@@ -118,7 +118,7 @@ impl Rates {
     }
 }
 
-/// The evolving distribution, in widths of the box around the start. See the [module](self).
+/// The evolving distribution, in widths of the box around the start.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CmaEs {
     options: CmaOptions,

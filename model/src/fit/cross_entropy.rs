@@ -52,7 +52,7 @@ impl Default for CrossEntropyOptions {
     }
 }
 
-/// See the [module](self).
+/// The cross-entropy method: its distribution, and what it waits for.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CrossEntropy {
     options: CrossEntropyOptions,

@@ -61,7 +61,7 @@ enum Phase {
     Done(Stop),
 }
 
-/// See the [module](self).
+/// The default: a short search by evolution, then Gauss–Newton.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Hybrid {
     options: HybridOptions,

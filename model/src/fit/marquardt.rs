@@ -47,7 +47,7 @@ struct Track {
     trials: Vec<(Vec<f64>, f64)>,
 }
 
-/// See the [module](self).
+/// Levenberg–Marquardt on exact derivatives.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LevenbergMarquardt {
     options: MarquardtOptions,

@@ -150,7 +150,7 @@ impl Best {
     }
 }
 
-/// A method that finds the least loss by asking. See the [module](self).
+/// A method that finds the least loss by asking.
 pub trait Solver {
     /// What it wants to know. Asked again without an answer, it asks the same.
     fn ask(&mut self) -> Ask;
