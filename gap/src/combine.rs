@@ -1,5 +1,7 @@
 //! Several effects at once: from the best single ones forward, and back where one of them is not needed.
 
+use std::cell::OnceCell;
+
 use nalgebra::DVector;
 use rayon::prelude::*;
 
@@ -63,13 +65,25 @@ pub fn combinations(setup: &Setup, null: &Fit, fits: &[Fit], judge: &Judge) -> V
         }
         let base = simplify(setup, null, prune(setup, null, base, fits, &pool, judge), judge);
         let known = |other: &Fit| same(&other.hypothesis.effects, &base.hypothesis.effects);
-        if base.hypothesis.effects.len() > 1 && !found.iter().any(known) {
+        if base.hypothesis.effects.len() > 1
+            && !found.iter().any(known)
+            && !explained_by_one(setup, &base, fits, &pool, judge)
+        {
             let others = twins(setup, null, &base, fits, judge);
             found.push(base);
             found.extend(others);
         }
     }
     found
+}
+
+/// Whether a single effect with which the noise is reached explains as much as several do, whichever they began with: then
+/// these only share out what the one does.
+fn explained_by_one(setup: &Setup, fit: &Fit, fits: &[Fit], pool: &[EffectAt], judge: &Judge) -> bool {
+    let complete = OnceCell::new();
+    let complete = || *complete.get_or_init(|| leaves_nothing(setup, fit, pool));
+    let mut exact = fits.iter().filter(|single| single.shooting_error <= INEXACT);
+    exact.any(|single| !judge.is_worth_or(fit, single, complete))
 }
 
 /// Where combinations begin: at the best single effects, and at those further ones with which a second effect promises

@@ -55,6 +55,12 @@ pub struct Part {
 }
 
 impl Held {
+    /// The median time between two commands (s).
+    #[must_use]
+    pub fn period(&self) -> f64 {
+        crate::statistics::median(&mut self.times.windows(2).map(|w| w[1] - w[0]).collect::<Vec<_>>())
+    }
+
     /// The mean of several, from when all have begun.
     #[must_use]
     pub fn mean(mut all: Vec<Held>) -> Held {
@@ -108,8 +114,7 @@ impl Held {
     /// What a plant does over an interval depends on the command's mean there, to second order in the interval.
     #[must_use]
     pub fn averaged(&self, grid: f64) -> Held {
-        let period =
-            crate::statistics::median(&mut self.times.windows(2).map(|w| w[1] - w[0]).collect::<Vec<_>>());
+        let period = self.period();
         let (Some(first), Some(last)) = (self.times.first(), self.times.last()) else { return self.clone() };
         if period <= 0.0 || period > 0.67 * grid {
             return self.clone();

@@ -11,7 +11,7 @@ use super::place_index;
 use crate::hypothesis::Slot;
 use crate::search::{Fit, INEXACT};
 use crate::setup::Setup;
-use crate::statistics::{median, standard_deviation};
+use crate::statistics::standard_deviation;
 
 /// Share of a command's period within which a lag must not be over where a reading shows the command at once: that the
 /// reading comes first within the period would pass for it, and a log does not tell.
@@ -51,8 +51,7 @@ pub fn is_possible(setup: &Setup, fit: &Fit) -> bool {
             (Effect::Lag | Effect::LagSecondOrder, PlaceKind::Input) => {
                 let system = setup.equations.system();
                 let shown = (0..system.outputs.len()).any(|output| system.shows(output, index));
-                let times = &setup.experiment.inputs[index].times;
-                let period = median(&mut times.windows(2).map(|w| w[1] - w[0]).collect::<Vec<_>>());
+                let period = setup.experiment.inputs[index].period();
                 // The mean lag: the time constant, or 2ζ of them.
                 let late = value("time_constant").unwrap_or(0.0) * value("damping").map_or(1.0, |z| 2.0 * z);
                 !shown || late >= WITHIN * period

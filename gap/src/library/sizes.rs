@@ -60,8 +60,18 @@ fn size(setup: &Setup, at: &EffectAt, index: usize, spec: &EffectParameter, fitt
             // A robot's delays are tens of milliseconds; a slow process' are a few of its samples.
             let (from, to) = setup.experiment.span();
             let size = (5.0 * setup.period).max(0.05);
+            fitted.low = 0.0;
             sized(fitted, size, &[0.1, 0.5, 1.5]);
             fitted.high = (6.0 * size).min(0.25 * (to - from));
+            let system = setup.equations.system();
+            let shown = || (0..system.outputs.len()).any(|output| system.shows(output, index));
+            if (at.effect, at.place.kind) == (Effect::Delay, PlaceKind::Input) && !shown() {
+                // A smooth command acts half a period before its samples, where they are held, and one that is stamped when it is
+                // logged up to a whole one. Where a reading shows the command, that would be the order of the two in the log.
+                let ahead = setup.experiment.inputs[index].period().max(0.0);
+                fitted.low = -ahead;
+                fitted.starts.push(-0.5 * ahead);
+            }
         }
         Q::Damping => {
             fitted.prior = Prior::Normal { mean: 0.8, std: 0.4 };

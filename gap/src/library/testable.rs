@@ -24,6 +24,12 @@ pub(super) fn testable(setup: &Setup, at: &EffectAt, index: usize) -> Result<(),
             let range = &setup.state_range[index];
             let moves = range.width() > 1e-9 * range.high.abs().max(range.low.abs()).max(1e-9);
             need(moves, "the state never changes in this log")?;
+            let mut joints = setup.equations.system().joints.iter();
+            let held = at.effect == Effect::Saturation || at.effect == Effect::SaturationSoft;
+            need(
+                !held || joints.all(|joint| joint.position_state != Some(index)),
+                "it is the position of a joint, which an `end_stop` limits",
+            )?;
         }
         PlaceKind::Parameter | PlaceKind::Connection | PlaceKind::Node => {}
     }

@@ -85,7 +85,13 @@ const NEAR: f64 = 1.2;
 
 /// `acts late (delay, delay 0.041 ± 0.001 s)`.
 fn cause(effect: &FittedEffect) -> String {
-    let what = Effect::from_name(&effect.name).map_or("departs from the model", Effect::sentence);
+    let early =
+        effect.name == Effect::Delay.name() && effect.parameters.values().any(|delay| delay.value < 0.0);
+    let what = match Effect::from_name(&effect.name) {
+        Some(_) if early => "acts before its stamp",
+        Some(known) => known.sentence(),
+        None => "departs from the model",
+    };
     let parameters: Vec<String> = effect
         .parameters
         .iter()

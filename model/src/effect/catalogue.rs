@@ -53,7 +53,7 @@ pub(super) const fn of(effect: Effect) -> Entry {
     match effect {
         Effect::Own(own) => entry(own.name(), "does what the file says", OWN, &[]),
         // Timing.
-        Effect::Delay => entry("delay", "acts late", ENDS, const { &[positive("delay", Q::Time)] }),
+        Effect::Delay => entry("delay", "acts late", ENDS, const { &[signed("delay", Q::Time)] }),
         Effect::Jitter => entry("jitter", "acts at times that scatter", ENDS, const { &[positive("spread", Q::Time)] }),
         Effect::Drops => entry("drops", "loses messages", ENDS, const { &[within("rate", Q::Share, 0.0, 0.0, 1.0)] }),
         Effect::ClockSkew => entry("clock_skew", "runs on a clock of another rate, so that its delay grows", ENDS,

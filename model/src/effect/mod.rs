@@ -242,6 +242,8 @@ impl Effect {
             Effect::SaturationSoft => &[Effect::Saturation],
             Effect::CoulombDahl | Effect::Stribeck | Effect::AsymmetricFriction => &[Effect::Coulomb],
             Effect::AsymmetricViscous => &[Effect::Viscous],
+            // A wave longer than the way is a stiffness that changes along it.
+            Effect::Cogging => &[Effect::SpringCubic],
             // A soft spring that rests far away.
             Effect::Spring => &[Effect::ConstantForce],
             _ => &[],
