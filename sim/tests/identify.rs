@@ -95,9 +95,9 @@ fn exact_derivatives_are_those_of_the_losses_and_differences_agree() {
     let problem = Problem::new(&[recording(0.013, 3)], &registry(), &specification()).unwrap();
     let evaluator = Evaluator::new(&problem).unwrap();
     let point = vec![0.45, 0.55, 0.5, 0.52, 0.31, 0.27];
-    let exact = &evaluator.exact_locals(std::slice::from_ref(&point), 1.0)[0];
-    let near = &evaluator.locals(std::slice::from_ref(&point), 1.0)[0];
-    let loss = evaluator.losses(std::slice::from_ref(&point), 1.0)[0];
+    let exact = &evaluator.exact_locals(std::slice::from_ref(&point), 1.0).unwrap()[0];
+    let near = &evaluator.locals(std::slice::from_ref(&point), 1.0).unwrap()[0];
+    let loss = evaluator.losses(std::slice::from_ref(&point), 1.0).unwrap()[0];
     assert!((exact.cost / loss - 1.0).abs() < 1e-9, "{} {loss}", exact.cost);
     for i in 0..point.len() {
         let h = 1e-6;
@@ -106,7 +106,7 @@ fn exact_derivatives_are_those_of_the_losses_and_differences_agree() {
             moved[i] += by;
             moved
         };
-        let losses = evaluator.losses(&[moved(h), moved(-h)], 1.0);
+        let losses = evaluator.losses(&[moved(h), moved(-h)], 1.0).unwrap();
         let slope = (losses[0] - losses[1]) / (2.0 * h);
         assert!(
             (2.0 * exact.gradient[i] / slope - 1.0).abs() < 1e-3,

@@ -23,6 +23,7 @@ mod error;
 mod evaluate;
 mod outcome;
 mod problem;
+mod simulators;
 mod spec;
 
 use std::ops::ControlFlow;
@@ -160,13 +161,13 @@ pub fn search(
         let answer = match state.search.solver().ask() {
             Ask::Losses { points, share } => {
                 state.rollouts += (points.len() * problem.episodes) as u64;
-                Tell::Losses(evaluator.losses(&points, share))
+                Tell::Losses(evaluator.losses(&points, share)?)
             }
             Ask::Locals { points, share } => {
                 state.rollouts += (points.len() * directions) as u64;
                 match state.search {
-                    Search::LevenbergMarquardt(_) => Tell::Locals(evaluator.exact_locals(&points, share)),
-                    _ => Tell::Locals(evaluator.locals(&points, share)),
+                    Search::LevenbergMarquardt(_) => Tell::Locals(evaluator.exact_locals(&points, share)?),
+                    _ => Tell::Locals(evaluator.locals(&points, share)?),
                 }
             }
             Ask::Done(stop) => break Some(stop),
@@ -218,7 +219,7 @@ pub fn identify(
         let found = search(&problem, method, None, each)?;
         let mut widened = false;
         for (delay, open) in specification.delays.iter_mut().zip(&open) {
-            let max = problem::longest(delay);
+            let max = simulators::longest(delay);
             let near = found.estimate(&delay.name).is_some_and(|found| found.value > 0.8 * max);
             // What is not determined goes anywhere: no reason to look further.
             let told = found.estimate(&delay.name).is_some_and(|found| found.std.is_some());

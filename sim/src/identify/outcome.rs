@@ -108,7 +108,7 @@ pub(super) fn outcome(
     stop: Option<Stop>,
     rollouts: u64,
 ) -> Result<Identified, IdentifyError> {
-    let models = evaluator.models(std::slice::from_ref(&best.point), 1.0);
+    let models = evaluator.models(std::slice::from_ref(&best.point), 1.0)?;
     let (local, fit) = models.into_iter().next().ok_or(IdentifyError::NotFinite)?;
     if !local.is_finite() {
         return Err(IdentifyError::NotFinite);
