@@ -66,6 +66,7 @@ fn everything_but_the_world(registry: Registry) -> Registry {
         .with("pendulum/simulator", simulator::kind())
         .with("pendulum/pid", crate::pid::kind::<Angle, Voltage>())
         .with("pendulum/policy", crate::policy::kind::<Estimate, Voltage>())
+        .with("pendulum/camera-policy", crate::policy::kind::<Angle, Voltage>())
 }
 
 /// The graph. Its delays are those of a small camera and computer.

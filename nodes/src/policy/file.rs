@@ -14,12 +14,14 @@ use super::network::{Activation, Layer, Network, Scaling};
 const FORMAT: &str = "parallax-policy-1";
 
 /// Every key of the metadata.
-const KEYS: [&str; 12] = [
+const KEYS: [&str; 14] = [
     "format",
     "activation",
     "output_activation",
     "observations",
     "actions",
+    "past_observations",
+    "past_actions",
     "observation_mean",
     "observation_std",
     "observation_clip",
@@ -75,6 +77,8 @@ pub(super) struct Contents {
     pub(super) network: Network,
     pub(super) observations: Box<[Source]>,
     pub(super) actions: Box<[usize]>,
+    pub(super) past_observations: usize,
+    pub(super) past_actions: usize,
 }
 
 /// Where an observation comes from.
@@ -159,18 +163,34 @@ impl Reader<'_> {
             _ => return Err(self.tensor("layers.0.weight", "is missing")),
         };
         let observations = self.observations(observed)?;
-        if observations.len() != inputs {
+        if observations.is_empty() {
+            return Err(self.metadata("observations", "names nothing: a policy has to see something"));
+        }
+        let actions = self.actions(sent)?;
+        let (past_observations, past_actions) =
+            (self.count("past_observations")?, self.count("past_actions")?);
+        // A history that no network could be as wide as must not wrap around either.
+        let expected = observations
+            .len()
+            .saturating_mul(past_observations.saturating_add(1))
+            .saturating_add(actions.len().saturating_mul(past_actions));
+        if expected != inputs {
             let names: Vec<String> = observations.iter().map(|source| source.describe(observed)).collect();
+            let past = match (past_observations, past_actions) {
+                (0, 0) => String::new(),
+                _ => format!(
+                    "; with {past_observations} past ones and {past_actions} past actions that makes {expected}"
+                ),
+            };
             return Err(self.tensor(
                 "layers.0.weight",
                 format!(
-                    "has {inputs} inputs, and there are {} observations: {}",
+                    "has {inputs} inputs, and there are {} observations: {}{past}",
                     names.len(),
                     names.join(", ")
                 ),
             ));
         }
-        let actions = self.actions(sent)?;
         if actions.len() != outputs {
             let names: Vec<&str> = actions.iter().map(|leaf| sent.leaves[*leaf].as_str()).collect();
             let last = format!("layers.{}.weight", layers.len() - 1);
@@ -181,7 +201,21 @@ impl Reader<'_> {
         }
         let (before, behind) = (self.before(inputs)?, self.behind(outputs)?);
         let network = Network::new(layers, before, behind);
-        Ok(Contents { network, observations: observations.into(), actions: actions.into() })
+        Ok(Contents {
+            network,
+            observations: observations.into(),
+            actions: actions.into(),
+            past_observations,
+            past_actions,
+        })
+    }
+
+    /// A whole number; zero where there is none.
+    fn count(&self, key: &str) -> Result<usize, PolicyError> {
+        let Some(text) = self.metadata.get(key) else { return Ok(0) };
+        text.parse().map_err(|_| {
+            self.metadata(key, format!("is `{text}`; it should be a whole number, such as 4"))
+        })
     }
 
     fn activation(&self, key: &str, absent: Option<Activation>) -> Result<Activation, PolicyError> {

@@ -19,12 +19,15 @@
 //! | `output_activation` | after the last layer; without it `none` |
 //! | `observations` | names of the input message's leaves, in the order of the network's inputs; `sin(leaf)` and `cos(leaf)` may stand for an angle. Without it, all leaves but `stamp` |
 //! | `actions` | names of the output message's leaves, in the order of the network's outputs. Without it, all leaves |
-//! | `observation_mean`, `observation_std` | each observation enters as `(value - mean) / std` |
+//! | `past_observations`, `past_actions` | how many earlier observations and actions the network sees; without them, none |
+//! | `observation_mean`, `observation_std` | each input enters as `(value - mean) / std`: one number for each, the past ones included |
 //! | `observation_clip` | a number: what enters is held within ± it |
 //! | `action_scale`, `action_offset` | each action leaves as `output * scale + offset` |
 //! | `action_low`, `action_high` | each action is held within these, after that |
 //!
-//! In Python:
+//! The network's inputs are the observations of this step, those of the steps before (newest first), and the actions that
+//! were sent in the steps before (newest first, after scaling). In the first step the past observations are that step's own,
+//! and the past actions are zero. `parallax.train` writes such files (`docs/training.md`); by hand, in Python:
 //!
 //! ```python
 //! from safetensors.numpy import save_file
@@ -46,6 +49,7 @@
 //! ```
 
 mod file;
+mod memory;
 mod network;
 
 use std::marker::PhantomData;
@@ -59,6 +63,7 @@ pub use file::PolicyError;
 pub use network::{Activation, Network};
 
 use file::Source;
+use memory::Memory;
 
 /// What the policy sees.
 pub const fn observation<M: Message>() -> Port<M> {
@@ -89,6 +94,7 @@ pub struct Policy<O, A> {
     observations: Box<[Source]>,
     /// Where each action goes in the output.
     actions: Box<[usize]>,
+    memory: Memory,
     inputs: Box<[f64]>,
     outputs: Box<[f64]>,
     leaves: Box<[f64]>,
@@ -102,12 +108,13 @@ impl<O: Message, A: Message> Policy<O, A> {
     ///
     /// [`PolicyError`] when the file is none, or does not fit the messages.
     pub fn read(path: &Path) -> Result<Self, PolicyError> {
-        let file::Contents { network, observations, actions } =
+        let file::Contents { network, observations, actions, past_observations, past_actions } =
             file::read(path, &Layout::of::<O>(), &Layout::of::<A>())?;
         Ok(Self {
             inputs: vec![0.0; network.inputs()].into(),
             outputs: vec![0.0; network.outputs()].into(),
             leaves: A::default().to_vec().into(),
+            memory: Memory::new(observations.len(), past_observations, actions.len(), past_actions),
             network,
             observations,
             actions,
@@ -115,13 +122,14 @@ impl<O: Message, A: Message> Policy<O, A> {
         })
     }
 
-    /// What the policy does about a message.
+    /// What the policy does about a message. One with a history remembers this step.
     ///
     /// # Errors
     ///
     /// [`NodeError::Failed`] when an observation is not finite: an action that follows from it would be none.
     pub fn act(&mut self, leaves: &[f64]) -> Result<A, NodeError> {
-        for (input, source) in self.inputs.iter_mut().zip(&self.observations) {
+        let (present, past) = self.inputs.split_at_mut(self.observations.len());
+        for (input, source) in present.iter_mut().zip(&self.observations) {
             *input = source.value(leaves);
             if !input.is_finite() {
                 return Err(NodeError::failed(format!(
@@ -130,7 +138,9 @@ impl<O: Message, A: Message> Policy<O, A> {
                 )));
             }
         }
+        self.memory.read(present, past);
         self.network.evaluate(&self.inputs, &mut self.outputs);
+        self.memory.remember(&self.inputs[..self.observations.len()], &self.outputs);
         for (leaf, action) in self.actions.iter().zip(&self.outputs) {
             self.leaves[*leaf] = *action;
         }

@@ -29,6 +29,7 @@ pub fn kinds(registry: Registry) -> Registry {
         .with("quadrotor/mocap", mocap::kind())
         .with("quadrotor/agent", agent::kind())
         .with("quadrotor/pid", pid::kind())
+        .with("quadrotor/policy", crate::policy::kind::<Motion, Reference>())
 }
 
 /// The graph. Its delays are of the size that the paper found for motion capture, radio and computation.

@@ -119,6 +119,38 @@ fn a_file_without_names_takes_the_leaves_as_they_come() {
 }
 
 #[test]
+fn a_history_is_what_it_saw_and_did_newest_first() {
+    // One input a unit wide for each number of the history, so that the action tells what stood where.
+    let places: Vec<f64> = (0..6).map(|place| 10_f64.powi(place)).collect();
+    let mut file = file().without("layers.0.weight").without("layers.0.bias").without("layers.1.weight");
+    file.tensors.push(("layers.0.weight".into(), vec![1, 6], places));
+    let mut policy = file
+        .with("activation", "none")
+        .with("observations", "[\"angle\"]")
+        .with("past_observations", "3")
+        .with("past_actions", "2")
+        .with("action_scale", "[1e-6]")
+        .read()
+        .unwrap();
+    let mut seen: Vec<f64> = Vec::new();
+    let mut sent: Vec<f64> = Vec::new();
+    for angle in [3.0, 1.0, 4.0, 1.5, 9.0] {
+        let got = policy.act(&[angle, 0.0, 0.0]).unwrap().voltage;
+        let observation = |age: usize| match age {
+            0 => angle,
+            _ => seen.iter().rev().nth(age - 1).copied().unwrap_or(*seen.first().unwrap_or(&angle)),
+        };
+        let action = |age: usize| sent.iter().rev().nth(age - 1).copied().unwrap_or(0.0);
+        let expected: f64 = (0..4).map(|age| 10_f64.powi(age as i32) * observation(age)).sum::<f64>()
+            + 1e4 * action(1)
+            + 1e5 * action(2);
+        assert!((got - expected * 1e-6).abs() < 1e-12, "{got} instead of {}", expected * 1e-6);
+        seen.push(angle);
+        sent.push(got);
+    }
+}
+
+#[test]
 fn what_is_wrong_with_a_file_is_said() {
     let cases = [
         (file().without("format"), "`format` is missing"),
@@ -129,6 +161,10 @@ fn what_is_wrong_with_a_file_is_said() {
         (file().with("observations", "angle"), "no JSON list of names"),
         (file().with("observations", "[\"angle\", \"sped\"]"), "`sped`, which is no leaf"),
         (file().with("observations", "[\"angle\"]"), "2 inputs, and there are 1 observations: angle"),
+        (file().with("observations", "[]").with("past_actions", "2"), "has to see something"),
+        (file().with("past_actions", "two"), "`two`; it should be a whole number"),
+        (file().with("past_observations", "1").with("past_actions", "2"), "past actions that makes 6"),
+        (file().with("past_observations", "18446744073709551615"), "2 inputs, and there are 2 observations"),
         (file().with("actions", "[\"torque\"]"), "`torque`"),
         (file().with("actions", "[\"voltage\", \"voltage\"]"), "twice"),
         (file().with("observation_mean", "[0.0]"), "1 numbers, and the network 2"),

@@ -1,0 +1,82 @@
+"""Schedules whose delays differ from episode to episode beyond what each delay's own distribution says."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+
+from ..graph import Episodes, Graph
+from .randomisation import Distribution
+
+__all__ = ["varied_episodes"]
+
+
+def varied_episodes(
+    graph: Graph,
+    seconds: float,
+    *,
+    extra: Mapping[str, Distribution],
+    variants: int = 16,
+    each: int = 4,
+    seed: int = 0,
+) -> Episodes:
+    """`variants` times `each` episodes of `seconds` seconds.
+
+    In each variant a number (s) is drawn for every place in `extra` and added to its delay: a connection by its name
+    (`encoder->agent`), or a node's computation by the node's. Drawn from an interval of an identified or fitted delay,
+    it makes policies that do not rely on the delay being exactly what was estimated. What an own distribution scatters
+    within an episode is not changed; a delay that would be negative is zero.
+    """
+    spec = graph.spec
+    result: Episodes | None = None
+    for variant in range(variants):
+        key = jax.random.fold_in(jax.random.key(seed), variant)
+        changed = copy.deepcopy(spec)
+        for index, (place, distribution) in enumerate(extra.items()):
+            shift = float(distribution.sample(jax.random.fold_in(key, index)))
+            _shift(changed, graph, place, shift)
+        episodes = Graph(changed).generate(seconds, each, seed + variant)
+        result = episodes if result is None else result + episodes
+    if result is None:
+        raise ValueError("no variants were asked for")
+    return result
+
+
+def _shift(spec: dict[str, Any], graph: Graph, place: str, seconds: float) -> None:
+    if place in graph.connections:
+        entry, key = spec["connection"][graph.connections.index(place)], "delay"
+    elif place in graph.nodes:
+        entry, key = next(node for node in spec["node"] if node["name"] == place), "computation"
+    else:
+        known = ", ".join([*graph.connections, *graph.nodes])
+        raise ValueError(f"`{place}` has no delay: it is neither a connection nor a node of the graph ({known})")
+    entry[key] = _shifted(entry.get(key), seconds, place)
+
+
+def _shifted(delay: Mapping[str, Any] | None, seconds: float, place: str) -> dict[str, Any]:
+    """A delay, as a graph.toml has it, that is longer by so much."""
+    if delay is None:
+        return {"distribution": "constant", "seconds": max(0.0, seconds)}
+    result = copy.deepcopy(dict(delay))
+    match result["distribution"]:
+        case "constant":
+            result["seconds"] = max(0.0, result["seconds"] + seconds)
+        case "normal":
+            result["mean"] += seconds
+        case "mixture":
+            result["means"] = [mean + seconds for mean in result["means"]]
+        case "uniform":
+            result["low"], result["high"] = max(0.0, result["low"] + seconds), max(0.0, result["high"] + seconds)
+        case "empirical":
+            result["samples"] = [max(0.0, sample + seconds) for sample in result["samples"]]
+        case "correlated":
+            result["of"] = _shifted(result["of"], seconds, place)
+        case other:
+            raise ValueError(
+                f"the delay of `{place}` is `{other}`, which cannot be made longer by a number of seconds; give it as "
+                f"constant, normal, mixture, uniform, empirical, or correlated of these"
+            )
+    return result

@@ -1,0 +1,287 @@
+"""Training: what the policy sees, how advantages are made, exact resumption, and that it learns."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import parallax as px
+from parallax import train as pt
+
+SMALL = pt.PPO(total_steps=4 * 8 * 16, environments=8, rollout_steps=16, minibatches=4, epochs=2, hidden=(8,))
+
+
+@pytest.fixture(scope="module")
+def environment():
+    task = pt.PendulumSwingUp(seconds=0.5)
+    return pt.GraphEnvironment("pendulum-simulated", task, episodes=4, spare=0.5, past_observations=2, past_actions=1)
+
+
+def test_the_policy_sees_the_present_and_then_the_past(environment, x64):
+    params = environment.default_params
+    reset, step = jax.jit(environment.reset_env), jax.jit(environment.step_env)
+    seen, state = reset(jax.random.key(3), params)
+    assert environment.interface.names[2:5] == ["speed", "cos(angle)[-1]", "sin(angle)[-1]"]
+    assert seen.shape == (environment.interface.size,) == (10,)
+    np.testing.assert_array_equal(seen[3:9], np.tile(seen[:3], 2))
+    assert seen[9] == 0.0
+    observations, sent = [seen[:3]], [0.0]
+    for share in (0.5, -0.25, 2.0):
+        seen, state, _, _, _ = step(jax.random.key(0), state, jnp.asarray([share]), params)
+        observations.append(seen[:3])
+        sent.append(4.0 * min(share, 1.0))
+        before = observations[max(0, len(observations) - 3)]
+        np.testing.assert_array_equal(seen, np.concatenate([observations[-1], observations[-2], before, [sent[-1]]]))
+
+
+def test_what_is_observed_is_what_the_graph_delivers(environment, x64):
+    # The same graph, stepped by hand with the same schedule, key and start.
+    params = environment.default_params
+    _, state = jax.jit(environment.reset_env)(jax.random.key(3), params)
+    step = jax.jit(environment.compiled.step)
+    graph = state.graph
+    for share in (0.5, -0.25):
+        seen, state, *_ = jax.jit(environment.step_env)(jax.random.key(0), state, jnp.asarray([share]), params)
+        graph, by_hand = step(graph, {"voltage": jnp.asarray(4.0 * share)}, params.tables)
+        message = by_hand.inputs["estimator"]["message"]
+        np.testing.assert_array_equal(seen[2], message["speed"][-1])
+        np.testing.assert_allclose(seen[:2], [np.cos(message["angle"][-1]), np.sin(message["angle"][-1])], rtol=1e-15)
+
+
+def test_every_episode_has_its_own_schedule_and_start(environment):
+    keys = jax.random.split(jax.random.key(0), 64)
+    seen, state = jax.jit(jax.vmap(environment.reset_env, (0, None)))(keys, environment.default_params)
+    assert set(np.asarray(state.graph.episode)) == {0, 1, 2, 3}
+    assert len(np.unique(np.asarray(state.graph.step))) > 5
+    assert len(np.unique(np.asarray(seen[:, 2]))) == 64
+    # The first message shows where the pendulum is, not where it hung before: to what it turns in a few steps.
+    angle = np.asarray(state.graph.state["world"]["angle"])
+    error = np.abs(np.angle(np.exp(1j * (angle - np.arctan2(seen[:, 1], seen[:, 0])))))
+    assert np.max(error) < 0.5
+
+
+def test_the_end_of_the_time_is_not_the_end(environment):
+    params = environment.default_params
+    step = jax.jit(environment.step)
+    seen, state = environment.reset(jax.random.key(0), params)
+    for place in range(environment.longest):
+        seen, state, _, terminated, truncated, info = step(
+            jax.random.key(place), state, environment.action_space().sample(jax.random.key(place)), params
+        )
+    assert truncated
+    assert not terminated
+    assert state.time == 0
+    assert np.any(info["final_observation"] != seen)
+
+
+def by_the_definition(reward, value, after, terminated, done, discount, trace):
+    """Sums of errors, as they are written down in the paper."""
+    result = np.zeros_like(reward)
+    steps, environments = reward.shape
+    for environment in range(environments):
+        for start in range(steps):
+            weight, total = 1.0, 0.0
+            for step in range(start, steps):
+                worth = 0.0 if terminated[step, environment] else after[step, environment]
+                total += weight * (reward[step, environment] + discount * worth - value[step, environment])
+                if done[step, environment]:
+                    break
+                weight *= discount * trace
+            result[start, environment] = total
+    return result
+
+
+def test_advantages_stop_at_resets_and_count_what_a_time_limit_cuts_off(x64):
+    random = np.random.default_rng(0)
+    reward, value, after = random.normal(size=(3, 12, 5))
+    terminated = random.random((12, 5)) < 0.15
+    done = terminated | (random.random((12, 5)) < 0.15)
+    assert np.any(done & ~terminated)
+    assert np.any(terminated)
+    found = pt.advantages(*map(jnp.asarray, (reward, value, after, terminated, done)), 0.9, 0.8)
+    np.testing.assert_allclose(found, by_the_definition(reward, value, after, terminated, done, 0.9, 0.8), atol=1e-12)
+
+
+class Corridor:
+    """A task whose every step is worth one, so that its value is known: 1/(1 − γ), for ever."""
+
+    observations = ("speed",)
+    actions = {"voltage": (-1.0, 1.0)}  # noqa: RUF012
+    seconds = 0.2
+
+    def __init__(self, ends):
+        self.ends = ends
+
+    def start(self, key, state):
+        return state
+
+    def reward(self, before, last, action, after):
+        return jnp.asarray(1.0)
+
+    def terminated(self, state):
+        return jnp.asarray(self.ends) & (state.step % 10 == 0)
+
+    def metrics(self, state):
+        return {}
+
+
+@pytest.mark.parametrize(("ends", "worth"), [(False, 10.0), (True, 6.0)])
+def test_values_converge_to_what_goes_on(ends, worth):
+    environment = pt.GraphEnvironment("pendulum-simulated", Corridor(ends), episodes=2, spare=0.3)
+    settings = pt.PPO(
+        total_steps=40_000,
+        environments=32,
+        rollout_steps=20,
+        minibatches=4,
+        epochs=8,
+        hidden=(8,),
+        learning_rate=5e-3,
+        discount=0.9,
+        normalise_rewards=False,
+        clip_value=False,
+    )
+    learner = pt.Learner(environment, settings)
+    params = environment.default_params
+    state = learner.init(jax.random.key(0), params)
+    state = jax.lax.fori_loop(0, settings.updates, lambda _, s: learner.update(s, params)[0], state)
+    normal = learner._normal(state.seen, state.inputs)
+    value = px.train.network.evaluate(state.network["critic"], normal, "tanh")[:, 0]
+    # The time limit of ten steps must not be learnt; an end after ten steps must (the mean over when it is seen).
+    assert abs(float(np.mean(value)) - worth) < (0.5 if not ends else 2.0)
+
+
+def same(one, other):
+    data = lambda x: jax.random.key_data(x) if jnp.issubdtype(x.dtype, jax.dtypes.prng_key) else x  # noqa: E731
+    for first, second in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        np.testing.assert_array_equal(data(first), data(second))
+
+
+def test_a_training_goes_on_bit_for_bit(environment, tmp_path):
+    whole = pt.train(environment, SMALL, seeds=(1, 2), evaluations=4, evaluation_episodes=2, progress=False)
+    folder = tmp_path / "half"
+    enough = lambda row: row["steps"] >= SMALL.batch * 2  # noqa: E731
+    half = pt.train(
+        environment,
+        SMALL,
+        seeds=(1, 2),
+        folder=folder,
+        evaluations=4,
+        evaluation_episodes=2,
+        progress=False,
+        stop=enough,
+    )
+    assert half.rows[-1]["steps"] == 2 * SMALL.batch
+    rest = pt.train(
+        environment,
+        SMALL,
+        seeds=(1, 2),
+        folder=folder,
+        resume=True,
+        evaluations=4,
+        evaluation_episodes=2,
+        progress=False,
+    )
+    same(whole.state, rest.state)
+    assert [row["return"] for row in whole.rows] == [row["return"] for row in rest.rows]
+    assert rest.rows[-1]["steps"] == 4 * SMALL.batch
+    assert [json.loads(line)["steps"] for line in (folder / "log.jsonl").read_text().splitlines()] == [
+        row["steps"] for row in rest.rows
+    ]
+    for name in ("curves.svg", "policy.safetensors", "policy-1.safetensors", "policy-2.safetensors"):
+        assert (folder / name).exists()
+
+    with pytest.raises(pt.CheckpointError, match="learning_rate"):
+        pt.train(environment, SMALL.changed(learning_rate=1.0), seeds=(1, 2), folder=folder, resume=True)
+    with pytest.raises(pt.CheckpointError, match="seeds"):
+        pt.train(environment, SMALL, seeds=(1, 3), folder=folder, resume=True)
+    other = pt.GraphEnvironment("pendulum-simulated", environment.task, episodes=4, seed=1, spare=0.5)
+    with pytest.raises(pt.CheckpointError, match=r"environment \(inputs, schedules\)"):
+        pt.train(other, SMALL, seeds=(1, 2), folder=folder, resume=True)
+    (folder / "checkpoint.safetensors").write_bytes(b"nothing")
+    with pytest.raises(pt.CheckpointError, match="cannot be read"):
+        pt.train(environment, SMALL, seeds=(1, 2), folder=folder, resume=True)
+
+
+def test_seeds_do_not_meet(environment):
+    both = pt.train(environment, SMALL, seeds=(1, 2), evaluations=1, evaluation_episodes=2, progress=False)
+    alone = pt.train(environment, SMALL, seeds=(2,), evaluations=1, evaluation_episodes=2, progress=False)
+    first = jax.tree.leaves(jax.tree.map(lambda leaf: leaf[1], both.state.network))
+    for one, other in zip(first, jax.tree.leaves(jax.tree.map(lambda leaf: leaf[0], alone.state.network)), strict=True):
+        # Matrices are multiplied in another order; single precision.
+        np.testing.assert_allclose(one, other, rtol=2e-2, atol=2e-3)
+    assert both.policies[0].weights[0].shape == (8, 10)
+
+
+class Hold:
+    """Keep the voltage at what the speed's sign says: learnt in a few thousand steps, or something is wrong."""
+
+    observations = ("speed",)
+    actions = {"voltage": (-1.0, 1.0)}  # noqa: RUF012
+    seconds = 0.4
+
+    def start(self, key, state):
+        speed = jax.random.uniform(key, (), float, -5.0, 5.0)
+        state = pt.with_state(state, "world", {"angle": math.pi, "speed": speed})
+        return pt.with_state(state, "world", {"speed": speed}, ["world", "encoder"])
+
+    def reward(self, before, last, action, after):
+        return -((action[0] - jnp.tanh(before.state["world"]["speed"])) ** 2)
+
+    def terminated(self, state):
+        return jnp.asarray(False)
+
+    def metrics(self, state):
+        return {}
+
+
+def test_it_learns():
+    environment = pt.GraphEnvironment("pendulum-simulated", Hold(), episodes=4, spare=0.3)
+    settings = pt.PPO(
+        total_steps=40_000,
+        environments=32,
+        rollout_steps=20,
+        minibatches=4,
+        epochs=8,
+        hidden=(16,),
+        learning_rate=3e-3,
+        entropy=0.0,
+        discount=0.5,
+    )
+    training = pt.train(environment, settings, evaluations=2, progress=False)
+    assert training.finished
+    assert training.rows[0]["return"][0] < -5.0
+    assert training.rows[-1]["return"][0] > -1.0
+    assert training.steps_per_second > 0
+
+
+def test_what_does_not_fit_is_named():
+    class Wrong(Hold):
+        observations = ("sped",)
+
+    with pytest.raises(ValueError, match="observes `sped`; `agent` receives angle, speed, stamp"):
+        pt.GraphEnvironment("pendulum-simulated", Wrong(), episodes=1)
+    with pytest.raises(ValueError, match="no node `wold`"):
+        pt.GraphEnvironment(
+            "pendulum-simulated", Hold(), episodes=1, randomisation=pt.Randomisation({"wold.mass": pt.Uniform(0, 1)})
+        )
+    with pytest.raises(ValueError, match=r"there is no `maas`; there is .*mass"):
+        pt.GraphEnvironment(
+            "pendulum-simulated",
+            Hold(),
+            episodes=1,
+            randomisation=pt.Randomisation({"world.pendulum.maas": pt.Uniform(0, 1)}),
+        )
+    with pytest.raises(ValueError, match="no trainable delay"):
+        pt.GraphEnvironment(
+            "pendulum-simulated",
+            Hold(),
+            episodes=1,
+            randomisation=pt.Randomisation({"delays.world->encoder": pt.Uniform(0, 0.01)}),
+        )
+    with pytest.raises(ValueError, match="16 minibatches do not divide"):
+        pt.PPO(environments=3, rollout_steps=5)

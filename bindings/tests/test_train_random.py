@@ -1,0 +1,131 @@
+"""What differs from environment to environment: parameters, hidden delays, schedules."""
+
+from __future__ import annotations
+
+import json
+
+import jax
+import numpy as np
+import pytest
+
+import parallax as px
+from parallax import train as pt
+
+
+def drawn(environment, count=2000):
+    keys = jax.random.split(jax.random.key(0), count)
+    state = jax.jit(jax.vmap(environment.reset_env, (0, None)))(keys, environment.default_params)[1]
+    return jax.tree.map(np.asarray, state.graph.params)
+
+
+def test_parameters_and_hidden_delays_are_drawn_for_every_episode():
+    randomisation = pt.Randomisation(
+        {
+            "world.pendulum.mass": pt.Uniform(0.04, 0.06),
+            "world.pendulum.friction": pt.LogUniform(1e-4, 1e-2),
+            "encoder.angle_noise": pt.Normal(1e-3, 1e-3, low=0.0),
+            "delays.world->encoder": pt.Uniform(0.01, 0.02),
+        }
+    )
+    environment = pt.GraphEnvironment(
+        "pendulum-simulated",
+        pt.PendulumSwingUp(seconds=0.2),
+        episodes=2,
+        randomisation=randomisation,
+        trainable={"world->encoder": (0.0, 0.04)},
+    )
+    params = drawn(environment)
+    mass = params["world"]["pendulum"]["mass"]
+    assert abs(mass.mean() - 0.05) < 5e-4
+    assert mass.min() >= 0.04 > mass.min() - 1e-3
+    assert abs(np.log10(params["world"]["pendulum"]["friction"]).mean() + 3.0) < 0.05
+    assert params["encoder"]["angle_noise"].min() == 0.0
+    share = params["delays"]["world->encoder"]
+    assert 0.25 <= share.min() < 0.26
+    assert 0.49 < share.max() <= 0.5
+    # What is not drawn is the graph's.
+    assert np.ptp(params["world"]["pendulum"]["length"]) == 0.0
+
+
+SPEC = """
+format = 1
+[parameters]
+"world.pendulum.inertia" = { low = 1e-4, high = 3e-4, name = "J", also = ["other.inertia"] }
+"world.pendulum.motor" = { low = 0.02, high = 0.05, name = "K" }
+"world.pendulum.mass" = { low = 0.01, high = 0.1 }
+"""
+
+
+def estimate(name, value, bounds):
+    return {"name": name, "sort": "parameter", "value": value, "std": None, "bounds": bounds, "unit": ""}
+
+
+def test_what_belongs_together_is_drawn_together(tmp_path):
+    # J and K are known by their ratio alone; the mass to 1 %.
+    widths = np.array([2e-4, 0.03, 0.09]) / np.sqrt(12)
+    along, across = np.array([1.0, 1.0, 0.0]) / np.sqrt(2), np.array([1.0, -1.0, 0.0]) / np.sqrt(2)
+    scaled = 100.0 * np.outer(along, along) + 1e-4 * np.outer(across, across) + np.diag([0.0, 0.0, 1e-4])
+    covariance = scaled * np.outer(widths, widths)
+    found = {
+        "estimates": [
+            estimate("J", 2e-4, [1e-4, 3e-4]),
+            estimate("K", 0.035, [0.02, 0.05]),
+            estimate("world.pendulum.mass", 0.05, [0.01, 0.1]),
+        ],
+        "covariance": covariance.ravel().tolist(),
+    }
+    (tmp_path / "identified.json").write_text(json.dumps(found))
+    (tmp_path / "identify.toml").write_text(SPEC)
+    randomisation = pt.Randomisation.identified(tmp_path, tmp_path / "identify.toml")
+    assert set(randomisation.places) == {
+        "world.pendulum.inertia",
+        "other.inertia",
+        "world.pendulum.motor",
+        "world.pendulum.mass",
+    }
+    sample = jax.vmap(randomisation.sample)(jax.random.split(jax.random.key(0), 4000))
+    inertia, motor = sample["world.pendulum.inertia"], sample["world.pendulum.motor"]
+    np.testing.assert_array_equal(inertia, sample["other.inertia"])
+    # The direction that the data do not tell is left alone, and across it the spread is what was found.
+    z = np.stack([np.asarray(inertia) / widths[0], np.asarray(motor) / widths[1]])
+    assert np.std(along[:2] @ z) < 1e-3
+    assert abs(np.std(across[:2] @ z) / 1e-2 - 1) < 0.1
+    assert abs(np.std(sample["world.pendulum.mass"]) / (1e-2 * widths[2]) - 1) < 0.1
+    only = pt.Randomisation.identified(tmp_path, tmp_path / "identify.toml", nodes=["other"])
+    assert only.places == [] or "world.pendulum.mass" not in only.places
+
+
+def test_schedules_vary_by_more_than_their_own_scatter():
+    graph = px.Graph("pendulum-simulated")
+    plain = graph.generate(1.0, 8, seed=0)
+    varied = pt.varied_episodes(
+        graph, 1.0, extra={"encoder->agent": pt.Uniform(0.0, 0.02), "agent": pt.Normal(0.0, 1e-3)}, variants=6, each=2
+    )
+    assert len(varied) == 12
+
+    def late(episodes):
+        means = []
+        for place in range(len(episodes)):
+            episode = episodes.episode(place)
+            seen = episode["connections"]["encoder->agent"]
+            known = seen["seq"][:, -1] >= 0
+            sent = episode["nodes"]["encoder"]["end"][seen["seq"][known, -1]]
+            means.append(np.mean(seen["received"][known, -1] - sent) * 1e-9)
+        return np.array(means)
+
+    assert np.std(late(plain)) < 1e-4
+    assert np.std(late(varied)) > 2e-3
+    environment = pt.GraphEnvironment(graph, pt.PendulumSwingUp(seconds=0.5), episodes=varied)
+    assert environment.compiled.episodes == 12
+    with pytest.raises(ValueError, match="neither a connection nor a node"):
+        pt.varied_episodes(graph, 1.0, extra={"nobody": pt.Uniform(0, 1)}, variants=1)
+
+
+def test_what_is_drawn_twice_is_refused():
+    with pytest.raises(ValueError, match="drawn twice"):
+        pt.Randomisation(
+            {"world.mass": pt.Uniform(0, 1)},
+            [pt.Joint((("world.mass",),), np.zeros(1), np.ones((1, 1)), np.zeros(1), np.ones(1))],
+        )
+    with pytest.raises(ValueError, match="must not be greater"):
+        pt.Uniform(1.0, 0.0)
