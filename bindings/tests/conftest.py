@@ -41,3 +41,11 @@ def parallax_cli():
         return done.stdout
 
     return run
+
+
+@pytest.fixture(scope="session")
+def compiled_once(tmp_path_factory):
+    """What was compiled in one test is not compiled again in the next."""
+    import parallax
+
+    parallax.use_compilation_cache(tmp_path_factory.mktemp("jax"), 0.0)

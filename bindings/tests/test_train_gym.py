@@ -13,6 +13,8 @@ from gymnasium.utils.env_checker import check_env
 from parallax import train as pt
 from parallax.train.gym import GymEnvironment, GymVectorEnvironment
 
+pytestmark = pytest.mark.usefixtures("compiled_once")
+
 
 @pytest.fixture(scope="module")
 def environment():

@@ -63,7 +63,9 @@ def read(path: Path, like: Tree) -> Tree:
     for name, leaf in wanted.items():
         value = jnp.asarray(tensors[name])
         if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
-            value = jax.random.wrap_key_data(value, impl=jax.random.key_impl(leaf))
+            value = jax.random.wrap_key_data(value)
+            if value.dtype != leaf.dtype:
+                raise CheckpointError(f"{path}: `{name}` is a random key of another kind than JAX is set to")
         leaves.append(value)
     return jax.tree.unflatten(jax.tree.structure(like), leaves)
 

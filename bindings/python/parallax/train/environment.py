@@ -183,10 +183,12 @@ class GraphEnvironment:
 
     def reset_env(self, key: Array, params: EnvironmentParams) -> tuple[Array, EnvironmentState]:
         """The first observation, `[Interface.size]`, and the state."""
-        of_graph, of_episode, of_place, of_params, of_start = jax.random.split(key, 5)
-        episode = jax.random.randint(of_episode, (), 0, self.compiled.episodes)
+        # Few draws of many numbers: each call of a random generator takes XLA longer to compile than a node's step.
+        of_graph, of_schedule, of_params, of_start = jax.random.split(key, 4)
+        which, where = jax.random.uniform(of_schedule, (2,))
+        episode = jnp.asarray(which * self.compiled.episodes, jnp.int32)
         room = jnp.asarray(self._room, jnp.int32)[episode]
-        place = jax.random.randint(of_place, (), 0, room + 1)
+        place = jnp.asarray(where * (room + 1), jnp.int32)
         graph = self.compiled.init(of_graph, params.nodes, episode, place)
         graph = replace(graph, params=self._drawn(of_params, graph.params))
         graph = self.task.start(of_start, graph)

@@ -145,7 +145,7 @@ class Randomisation:
         from a normal distribution with the estimates' covariance, `widen` times as wide, within the search's bounds;
         first states and delays are not drawn. A direction in which the data do not narrow the bounds is left alone:
         the predictions do not depend on it, and drawn number by number it would pull what belongs together apart.
-        With `nodes`, only parameters of these.
+        With `nodes`, only at these; what is tied elsewhere stays.
         """
         file = Path(folder) / "identified.json"
         found = json.loads(file.read_text(encoding="utf-8"))
@@ -186,7 +186,8 @@ def _places(spec: Path, nodes: set[str] | None) -> dict[str, list[str]]:
     result: dict[str, list[str]] = {}
     for place, entry in content.get("parameters", {}).items():
         own = [place, *entry.get("also", [])]
-        if nodes is None or place.split(".")[0] in nodes:
+        own = [each for each in own if nodes is None or each.split(".")[0] in nodes]
+        if own:
             result[entry.get("name", place)] = own
     return result
 

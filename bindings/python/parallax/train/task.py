@@ -6,6 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Protocol
 
+import jax
+import jax.numpy as jnp
+
 from ..state import GraphState
 from ..types import Array, Scalar
 from .randomisation import with_leaf
@@ -48,23 +51,15 @@ def with_state(state: GraphState, node: str, values: Mapping[str, Scalar], messa
     """
     states, history = dict(state.state), dict(state.history)
     for leaf, value in values.items():
-        states[node] = with_leaf(states[node], leaf.split("."), value, f"the state of `{node}`")
+        states[node] = with_leaf(states[node], leaf.split("."), jnp.asarray(value, float), f"the state of `{node}`")
     for sender in messages:
         sent = history[sender]
         # A tuple of messages, or one tree with a leading axis, where all places get the one value.
-        trees = list(sent) if isinstance(sent, tuple) else [sent]
+        trees = sent if isinstance(sent, tuple) else (sent,)
+        shape = () if isinstance(sent, tuple) else jax.tree.leaves(sent)[0].shape[:1]
         for leaf, value in values.items():
-            path = leaf.split(".")
-            trees = [
-                with_leaf(tree, path, value + 0.0 * _at(tree, path), f"the messages of `{sender}`") for tree in trees
-            ]
-        history[sender] = tuple(trees) if isinstance(sent, tuple) else trees[0]
+            shown = jnp.broadcast_to(jnp.asarray(value, float), shape)
+            what = f"the messages of `{sender}`"
+            trees = tuple(with_leaf(tree, leaf.split("."), shown, what) for tree in trees)
+        history[sender] = trees if isinstance(sent, tuple) else trees[0]
     return replace(state, state=states, history=history)
-
-
-def _at(tree: Mapping[str, Scalar], path: Sequence[str]) -> Scalar:
-    place: Scalar = tree
-    for part in path:
-        place = place.get(part, {})
-    # What is missing is named when it is set.
-    return 0.0 if place == {} else place

@@ -54,14 +54,11 @@ class PendulumSwingUp:
 
     def start(self, key: Array, state: GraphState) -> GraphState:
         """Anywhere, or hanging."""
-        of_angle, of_speed, of_rest, of_choice = jax.random.split(key, 4)
-        angle = jax.random.uniform(of_angle, (), float, -math.pi, math.pi)
-        speed = jax.random.uniform(of_speed, (), float, -self.speed, self.speed)
-        rest = jax.random.uniform(of_rest, (2,), float, -0.1, 0.1)
-        hangs = jax.random.uniform(of_choice, ()) < self.hanging
+        angle, speed, choice = jax.random.uniform(key, (3,), float, -1.0, 1.0)
+        hangs = choice < 2 * self.hanging - 1
         first = {
-            "angle": jnp.where(hangs, wrapped(math.pi + rest[0]), angle),
-            "speed": jnp.where(hangs, rest[1], speed),
+            "angle": jnp.where(hangs, wrapped(math.pi + 0.1 * angle), math.pi * angle),
+            "speed": jnp.where(hangs, 0.1 * speed, self.speed * speed),
         }
         state = with_state(state, self.world, first)
         for sender, leaves in self.messages.items():
@@ -129,17 +126,15 @@ class QuadrotorCircle:
 
     def start(self, key: Array, state: GraphState) -> GraphState:
         """Near the circle, slowly."""
-        of_angle, of_distance, of_height, of_velocity = jax.random.split(key, 4)
-        angle = jax.random.uniform(of_angle, (), float, -math.pi, math.pi)
-        distance = self.radius * jax.random.uniform(of_distance, (), float, 0.6, 1.4)
-        velocity = jax.random.uniform(of_velocity, (3,), float, -0.5, 0.5)
+        angle, distance, height, *velocity = jax.random.uniform(key, (6,), float, -1.0, 1.0)
+        angle, distance = math.pi * angle, self.radius * (1.0 + 0.4 * distance)
         first = {
             "position.x": distance * jnp.cos(angle),
             "position.y": distance * jnp.sin(angle),
-            "position.z": self.height + jax.random.uniform(of_height, (), float, -0.2, 0.2),
-            "velocity.x": velocity[0],
-            "velocity.y": velocity[1],
-            "velocity.z": 0.2 * velocity[2],
+            "position.z": self.height + 0.2 * height,
+            "velocity.x": 0.5 * velocity[0],
+            "velocity.y": 0.5 * velocity[1],
+            "velocity.z": 0.1 * velocity[2],
         }
         return with_state(state, self.world, first, [name for name in self.messages if name in state.history])
 
