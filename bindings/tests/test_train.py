@@ -170,7 +170,11 @@ def same(one, other):
 def test_a_training_goes_on_bit_for_bit(environment, tmp_path):
     whole = pt.train(environment, SMALL, seeds=(1, 2), evaluations=4, evaluation_episodes=2, progress=False)
     folder = tmp_path / "half"
-    enough = lambda row: row["steps"] >= SMALL.batch * 2  # noqa: E731
+
+    def enough(row):
+        if row["steps"] >= SMALL.batch * 2:
+            raise KeyboardInterrupt
+
     half = pt.train(
         environment,
         SMALL,
@@ -182,6 +186,7 @@ def test_a_training_goes_on_bit_for_bit(environment, tmp_path):
         stop=enough,
     )
     assert half.rows[-1]["steps"] == 2 * SMALL.batch
+    assert not half.finished
     rest = pt.train(
         environment,
         SMALL,
@@ -192,6 +197,7 @@ def test_a_training_goes_on_bit_for_bit(environment, tmp_path):
         evaluation_episodes=2,
         progress=False,
     )
+    assert rest.finished
     same(whole.state, rest.state)
     assert [row["return"] for row in whole.rows] == [row["return"] for row in rest.rows]
     assert rest.rows[-1]["steps"] == 4 * SMALL.batch
@@ -293,3 +299,29 @@ def test_what_does_not_fit_is_named():
         )
     with pytest.raises(ValueError, match="16 minibatches do not divide"):
         pt.PPO(environments=3, rollout_steps=5)
+
+
+def test_the_quadrotor_flies_its_circle_or_the_episode_is_over():
+    environment = pt.GraphEnvironment("quadrotor-simulated", pt.QuadrotorCircle(seconds=1.0), episodes=2)
+    assert environment.interface.names == [
+        *("position.x", "position.y", "position.z"),
+        *("velocity.x", "velocity.y", "velocity.z"),
+        *("attitude.roll", "attitude.pitch"),
+    ]
+    params = environment.default_params
+    seen, state = jax.jit(environment.reset_env)(jax.random.key(0), params)
+    world = state.graph.state["world"]
+    assert abs(np.hypot(world["position"]["x"], world["position"]["y"]) - 1.0) < 0.45
+    np.testing.assert_allclose(seen[0], world["position"]["x"], atol=0.05)
+    step = jax.jit(environment.step_env)
+    # Level, it drifts; at full tilt it is gone within a second.
+    ended = []
+    for share in ([0.0, 0.0, 0.0], [1.0, 1.0, 0.0]):
+        own, over = state, False
+        for _ in range(environment.longest):
+            _, own, reward, terminated, metrics = step(jax.random.key(0), own, jnp.asarray(share), params)
+            assert np.isfinite(reward)
+            over = over or bool(terminated)
+        ended.append((over, float(metrics["error"])))
+    assert not ended[0][0]
+    assert ended[1][1] > ended[0][1] + 0.5

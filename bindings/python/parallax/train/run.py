@@ -8,7 +8,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -47,10 +47,9 @@ class Training:
     state: TrainState
     """Everything, `[seed, ...]`."""
     finished: bool
-    """Whether all updates were made; not so after an interruption."""
+    """Whether all updates were made."""
     folder: Path | None = None
     """Where its files are."""
-    _order: list[int] = field(default_factory=list)
 
     @property
     def best(self) -> Policy:
@@ -107,7 +106,6 @@ def train(
 
     done = int(jnp.ravel(state.update)[0])
     chunk = max(1, -(-settings.updates // evaluations))
-    finished = False
     bar = _bar(settings, done, progress)
     try:
         if not rows:
@@ -130,14 +128,13 @@ def train(
             bar.set_postfix_str(_said(row), refresh=False)
             if stop is not None and stop(row):
                 break
-        finished = True
     except KeyboardInterrupt:
         # The state is that of the last evaluation, which was written.
         pass
     finally:
         bar.close()
     policies = many.policies(state)
-    training = Training(policies, list(seeds), rows, state, finished, place)
+    training = Training(policies, list(seeds), rows, state, done >= settings.updates, place)
     if place is not None:
         for seed, policy in zip(seeds, policies, strict=True):
             policy.save(place / f"policy-{seed}.safetensors")

@@ -26,9 +26,9 @@ def varied_episodes(
     """`variants` times `each` episodes of `seconds` seconds.
 
     In each variant a number (s) is drawn for every place in `extra` and added to its delay: a connection by its name
-    (one of `graph.connections`), or a node's computation by the node's. Drawn from an interval of an identified or fitted delay,
-    it makes policies that do not rely on the delay being exactly what was estimated. What an own distribution scatters
-    within an episode is not changed; a delay that would be negative is zero.
+    (one of `graph.connections`), or a node's computation by the node's. Drawn from an interval of an identified or
+    fitted delay, it makes policies that do not rely on the delay being exactly what was estimated. What an own
+    distribution scatters within an episode is not changed; a delay that would be negative is zero.
     """
     spec = graph.spec
     result: Episodes | None = None
