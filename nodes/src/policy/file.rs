@@ -213,9 +213,8 @@ impl Reader<'_> {
     /// A whole number; zero where there is none.
     fn count(&self, key: &str) -> Result<usize, PolicyError> {
         let Some(text) = self.metadata.get(key) else { return Ok(0) };
-        text.parse().map_err(|_| {
-            self.metadata(key, format!("is `{text}`; it should be a whole number, such as 4"))
-        })
+        text.parse()
+            .map_err(|_| self.metadata(key, format!("is `{text}`; it should be a whole number, such as 4")))
     }
 
     fn activation(&self, key: &str, absent: Option<Activation>) -> Result<Activation, PolicyError> {

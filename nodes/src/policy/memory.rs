@@ -13,7 +13,12 @@ pub(super) struct Memory {
 
 impl Memory {
     /// Of so many past observations and actions of these widths.
-    pub(super) fn new(observation: usize, past_observations: usize, action: usize, past_actions: usize) -> Self {
+    pub(super) fn new(
+        observation: usize,
+        past_observations: usize,
+        action: usize,
+        past_actions: usize,
+    ) -> Self {
         Self {
             widths: [observation, action],
             observations: vec![0.0; observation * past_observations].into(),
