@@ -61,7 +61,7 @@ impl<'a> Models<'a> {
             shown: if named { best } else { null },
             named,
             gain: if named { answers.cost(null) - answers.cost(best) } else { 0.0 },
-            excess: left - 1.0,
+            excess: least - 1.0,
             by_chance,
             mean_explained: least < MEAN_EXPLAINED.powi(2) || (!detected && by_chance),
             lost,
@@ -83,12 +83,17 @@ impl<'a> Models<'a> {
         chosen.cloned().collect()
     }
 
-    /// Whether it moves the machine by what is left of the error.
+    /// Whether it moves the machine, or its readings, by what is left of the error.
     fn moves_by_chance(&self, r: &ReadingEffect) -> bool {
-        self.by_chance
-            && r.place.starts_with("input:")
-            && readings::over_horizon(self.setup, self.shown, r)
-                .is_some_and(|moved| moved > CHANCE * self.excess)
+        if !self.by_chance {
+            return false;
+        }
+        match readings::over_readings(self.setup, r) {
+            // Predictions begin where such readings saw the machine: they are off as well.
+            Some(off) => off > CHANCE * CHANCE * self.excess,
+            None => readings::over_horizon(self.setup, self.shown, r)
+                .is_some_and(|moved| moved > CHANCE * self.excess),
+        }
     }
 
     /// The corners of a clipped reading look like outliers and bad times.

@@ -23,6 +23,9 @@ const RUNS: f64 = 32.0;
 /// Readings of the fastest output that a command's response covers, at least.
 const COVERED: f64 = 8.0;
 
+/// Share of the largest change of a command below which one counts as that large where it stands for another.
+const LEAST_CHANGE: f64 = 0.05;
+
 /// Sweeps of the variational inference, at most.
 const SWEEPS: usize = 60;
 
@@ -41,6 +44,8 @@ const GOLDEN: usize = 10;
 struct Kick {
     /// Its index among the commands.
     command: usize,
+    /// By how much the value differs.
+    change: f64,
     /// By how much it was late (s).
     late: f64,
     /// Index of the first reading after it, in the order of their stamps.
@@ -139,7 +144,13 @@ impl Kicks {
                             (plain.innovation[r] - other.innovation[r]) / plain.variance[r].sqrt()
                         };
                         let response = order[first..end].iter().map(change).collect();
-                        Kick { command: k, late: lateness(k), first, response }
+                        Kick {
+                            command: k,
+                            change: held.values[k] - held.values[k - 1],
+                            late: lateness(k),
+                            first,
+                            response,
+                        }
                     };
                     run.iter().enumerate().map(kick).collect()
                 })
@@ -178,10 +189,23 @@ impl Kicks {
     /// Sum over all commands of the squared response of each reading, in the order of the walk: the variance that shares
     /// of unit variance add.
     pub(super) fn squares(&self) -> Vec<f64> {
+        self.squares_of(|_| 1.0)
+    }
+
+    /// The same if every command changed by as much as another one, half of the log away, does.
+    pub(super) fn exchanged_squares(&self) -> Vec<f64> {
+        let count = self.kicks.len();
+        let least = LEAST_CHANGE * self.kicks.iter().map(|k| k.change.abs()).fold(0.0, f64::max);
+        let other = |k: usize| self.kicks[(k + count / 2) % count].change;
+        self.squares_of(|k| other(k) / self.kicks[k].change.abs().max(least))
+    }
+
+    fn squares_of(&self, scale: impl Fn(usize) -> f64) -> Vec<f64> {
         let mut squares = vec![0.0; self.readings];
-        for kick in &self.kicks {
+        for (k, kick) in self.kicks.iter().enumerate() {
+            let scale = scale(k);
             for (at, r) in self.order[kick.first..].iter().zip(&kick.response) {
-                squares[*at] += r * r;
+                squares[*at] += (scale * r).powi(2);
             }
         }
         squares

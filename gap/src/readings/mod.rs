@@ -32,11 +32,15 @@ pub(crate) use lost::{LostCommands, lost};
 pub(crate) use raw::Raw;
 pub use raw::{Suspicion, Suspicious, cleaned, examine};
 pub(crate) use scatter::noise_beside;
-pub use scatter::{over_horizon, scatter};
+pub use scatter::{over_horizon, over_readings, scatter};
 
 /// Share of the evidence of bad readings, or of times that scatter elsewhere, below which times that scatter are what these
 /// leave behind.
 const TRACE: f64 = 0.1;
+
+/// The same at the bad readings' own place: the smaller ones are found where the reading hardly moves, and stay where it is
+/// fast.
+const TRACE_THERE: f64 = 0.3;
 
 /// Whether an effect is what a stronger one leaves behind: bad readings that were not all taken out look like times that
 /// scatter, and a coarse lattice repeats its values.
@@ -47,10 +51,11 @@ pub fn is_trace(effect: &ReadingEffect, all: &[ReadingEffect]) -> bool {
         all.iter().filter(move |e| e.significant && names.contains(&e.name))
     };
     match effect.name.as_str() {
-        "jitter" | "drops" => {
-            effect.place.starts_with("input:")
-                && found(&["outliers", "stuck"]).any(|e| effect.evidence > TRACE * e.evidence)
-        }
+        "jitter" | "drops" => found(&["outliers", "stuck"]).any(|e| {
+            let trace = if effect.place == e.place { TRACE_THERE } else { TRACE };
+            (effect.place.starts_with("input:") || effect.place == e.place)
+                && effect.evidence > trace * e.evidence
+        }),
         "stuck" => found(&["quantization"]).any(|e| e.place == effect.place),
         _ => false,
     }

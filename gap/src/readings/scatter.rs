@@ -167,6 +167,32 @@ pub fn over_horizon(setup: &Setup, fit: &Fit, effect: &ReadingEffect) -> Option<
     (!runs.is_empty()).then(|| runs.iter().sum::<f64>() / runs.len() as f64)
 }
 
+/// What readings that are taken so much earlier or later are off by on held-out time: the mean square over all outputs, in
+/// noise units squared. Nothing for other effects.
+#[must_use]
+pub fn over_readings(setup: &Setup, effect: &ReadingEffect) -> Option<f64> {
+    let outputs = &setup.equations.system().outputs;
+    let output = outputs.iter().position(|o| effect.place == format!("output:{}", o.name))?;
+    let spread = effect.parameters.get("spread").filter(|_| effect.name == "jitter")?.value;
+    let held_out = |stamp: f64| setup.test.iter().any(|s| (s.from..s.to).contains(&stamp));
+    let (stamp, _) = setup.experiment.output(output);
+    let rates = (0..stamp.len()).filter(|k| held_out(stamp[*k])).filter_map(|k| rate(setup, output, k));
+    let noise = setup.output_noise[output];
+    let (sum, count) =
+        rates.fold((0.0, 0.0), |(sum, count), r| (sum + (r * spread / noise).powi(2), count + 1.0));
+    // The error over the horizon is the mean over all outputs.
+    (count > 0.0).then(|| sum / count / outputs.len() as f64)
+}
+
+/// The rate of reading `k` of an output, from its neighbours.
+fn rate(setup: &Setup, output: usize, k: usize) -> Option<f64> {
+    let (stamp, value) = setup.experiment.output(output);
+    let wrap = setup.experiment.wraps.get(output).copied().flatten();
+    let (before, after) = (k.saturating_sub(RATE), (k + RATE).min(stamp.len() - 1));
+    let span = stamp[after] - stamp[before];
+    (span > 0.0).then(|| wrapped(value[after] - value[before], wrap) / span)
+}
+
 fn pass(setup: &Setup, fit: &Fit, noise: &Noise, segments: &[Segment]) -> Pass {
     let simulator = library::simulator(setup, &fit.hypothesis, fit.residuals.clone());
     walk_plain(&simulator, segments, &setup.noise, noise, fit.theta())
@@ -187,15 +213,11 @@ fn open_noise(setup: &Setup, fit: &Fit) -> Noise {
 
 /// What a second of lateness changes in each innovation of one output: the predicted reading's rate.
 fn of_reading(setup: &Setup, pass: &Pass, output: usize) -> Option<Sensitivity> {
-    let (stamp, value) = setup.experiment.output(output);
-    let wrap = setup.experiment.wraps.get(output).copied().flatten();
+    let (stamp, _) = setup.experiment.output(output);
     let mut found = Sensitivity { innovations: Vec::new(), size: Vec::new() };
     for k in (0..pass.readings()).filter(|k| pass.output[*k] == output) {
         let at = stamp.partition_point(|s| *s < pass.stamp[k]);
-        let (before, after) = (at.saturating_sub(RATE), (at + RATE).min(stamp.len() - 1));
-        let span = stamp[after] - stamp[before];
-        if span > 0.0 {
-            let rate = wrapped(value[after] - value[before], wrap) / span;
+        if let Some(rate) = rate(setup, output, at) {
             found.innovations.push(pass.innovation[k] / pass.variance[k].sqrt());
             found.size.push(rate.abs() / pass.variance[k].sqrt());
         }
@@ -205,21 +227,30 @@ fn of_reading(setup: &Setup, pass: &Pass, output: usize) -> Option<Sensitivity> 
 
 /// The size of what shares of unit variance of all commands leave in each innovation, on time that is fitted and on time
 /// that is held out.
-fn of_commands(setup: &Setup, kicks: &Kicks) -> Option<(Sensitivity, Sensitivity)> {
-    let squares = kicks.squares();
-    let part = |held_out: bool| {
-        let inside = |k: &usize| setup.test.iter().any(|s| (s.from..s.to).contains(&kicks.stamp[*k]));
-        let own: Vec<usize> = (0..kicks.stamp.len()).filter(|k| inside(k) == held_out).collect();
-        let size = own.iter().map(|&k| squares[k].sqrt()).collect();
-        Sensitivity { innovations: own.iter().map(|&k| kicks.whitened[k]).collect(), size }.usable()
+fn of_commands(setup: &Setup, kicks: &Kicks) -> Option<Parts> {
+    let held_out = |k: &usize| setup.test.iter().any(|s| (s.from..s.to).contains(&kicks.stamp[*k]));
+    let (test, train): (Vec<usize>, Vec<usize>) = (0..kicks.stamp.len()).partition(held_out);
+    let of = |own: &[usize], squares: &[f64]| {
+        let innovations = own.iter().map(|&k| kicks.whitened[k]).collect();
+        Sensitivity { innovations, size: own.iter().map(|&k| squares[k].sqrt()).collect() }.usable()
     };
-    Some((part(false)?, part(true)?))
+    let (squares, exchanged) = (kicks.squares(), kicks.exchanged_squares());
+    let exchanged = of(&train, &exchanged).map_or(0.0, |exchanged| exchanged.by_size().max(0.0));
+    Some(Parts { train: of(&train, &squares)?, test: of(&test, &squares)?, exchanged })
+}
+
+/// Sensitivities on time that is fitted and on time that is held out.
+struct Parts {
+    train: Sensitivity,
+    test: Sensitivity,
+    /// Log evidence for kicks as large as those of other commands: what a machine that sometimes rests shows while it moves.
+    exchanged: f64,
 }
 
 /// Log predictive densities of held-out readings without and with this share of an input's commands lost.
 pub(super) fn density_of_losses(setup: &Setup, fit: &Fit, input: usize, rate: f64) -> Option<LogDensity> {
     let kicks = Kicks::new(setup, fit, &open_noise(setup, fit), input, f64::INFINITY)?;
-    let (train, test) = of_commands(setup, &kicks)?;
+    let Parts { train, test, .. } = of_commands(setup, &kicks)?;
     Some(densities(&train, &test, rate.sqrt()))
 }
 
@@ -279,6 +310,14 @@ impl Sensitivity {
         -0.5 * (quadratic + logarithms)
     }
 
+    /// Log evidence for innovations that grow with the size.
+    fn by_size(&self) -> f64 {
+        let floor = self.floor(0.0);
+        let (natural, plain) = (floor / root_mean_square(&self.size), self.log(0.0, floor));
+        let gain = |scale: f64| self.log(scale, self.floor(scale)) - plain;
+        peak(1e-2 * natural, 1e2 * natural, gain).log_evidence
+    }
+
     /// The floor that makes it largest, by golden section on its logarithm.
     fn floor(&self, scale: f64) -> f64 {
         let size = root_mean_square(&self.innovations).max(1e-12);
@@ -320,14 +359,12 @@ struct Judged {
 }
 
 impl Judged {
-    fn against(self, parts: Option<(Sensitivity, Sensitivity)>, place: &str) -> Option<ReadingEffect> {
-        let (train, test) = parts?;
+    fn against(self, parts: Option<Parts>, place: &str) -> Option<ReadingEffect> {
+        let Parts { train, test, exchanged } = parts?;
         let density = densities(&train, &test, self.scale);
         // A wrong mean lies along the kicks as well; chance alone makes innovations large where kicks are.
-        let (floor, size) = (train.floor(0.0), root_mean_square(&train.size));
-        let (natural, plain) = (floor / size, train.log(0.0, floor));
-        let gain = |scale: f64| train.log(scale, train.floor(scale)) - plain;
-        let by_size = peak(1e-2 * natural, 1e2 * natural, gain).log_evidence;
+        let natural = train.floor(0.0) / root_mean_square(&train.size);
+        let by_size = train.by_size() - exchanged;
         let evidence = self.evidence.max(-2.0 * by_size);
         let notable = train.is_white() && self.scale > NOTABLE * natural && density.with > density.without;
         Some(found(self.name, place.into(), (self.parameter, self.value), evidence, notable, density))

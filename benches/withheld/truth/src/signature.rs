@@ -278,6 +278,10 @@ impl<'a> View<'a> {
                 Place::Output(o) => self.run.noise[o],
                 _ => 0.0,
             };
+            if self.shifted(kind) {
+                labels.push(name);
+                continue;
+            }
             // A signature depends on the size of a large cause: the true one's where it is the same effect elsewhere, else
             // some that might as well be there, as long as they come near.
             let mut rng = stream(0, 100 + i as u64);
@@ -302,6 +306,14 @@ impl<'a> View<'a> {
                 }
             }
         }
+    }
+
+    /// Whether it is the true cause's delay at the other end of a machine with one command and one sensor: the laws of motion
+    /// are the same at all times, so that nobody can tell the two apart, however large they are.
+    fn shifted(&self, kind: Kind) -> bool {
+        let system = self.case.system;
+        let one = system.inputs.len() == 1 && system.outputs.len() == 1;
+        one && [self.case.causes[0].kind, kind].iter().all(|kind| kind.names().0 == "delay")
     }
 
     /// What a cause changes at the fitted point.
