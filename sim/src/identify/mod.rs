@@ -222,7 +222,10 @@ pub fn identify(
             let max = simulators::longest(delay);
             let near = found.estimate(&delay.name).is_some_and(|found| found.value > 0.8 * max);
             // What is not determined goes anywhere: no reason to look further.
-            let told = found.estimate(&delay.name).is_some_and(|found| found.std.is_some());
+            let in_a_sum =
+                |c: &Combination| !c.product && c.factors.iter().any(|(name, _)| *name == delay.name);
+            let told = found.estimate(&delay.name).is_some_and(|found| found.std.is_some())
+                || found.combinations.iter().any(in_a_sum);
             if *open && near && told && max < LONGEST && found.stop.is_some() {
                 delay.max = Some(2.0 * max);
                 widened = true;

@@ -180,10 +180,34 @@ pub(super) fn outcome(
     });
     let covariance = covariance.collect();
     let (involved, combinations) = combinations(&members, &spread);
+    leave_open_what_only_a_sum_tells(&mut estimates, &combinations);
     let remarks = remarks(&estimates, &involved, &combinations);
     let outputs = scores(problem, evaluator, best, &fit)?;
     let (loss, point) = (local.cost, best.point.clone());
     Ok(Identified { estimates, covariance, combinations, remarks, outputs, loss, stop, rollouts, point })
+}
+
+/// Delays in a row of which the data tell the sum: a machine that starts anywhere shows nothing of the single ones, and what
+/// the information says of them is how a simulation rounds between its ticks. Each lies where its bounds and the sum allow.
+fn leave_open_what_only_a_sum_tells(estimates: &mut [Estimate], combinations: &[Combination]) {
+    for sum in
+        combinations.iter().filter(|c| !c.product && c.factors.iter().all(|(_, factor)| *factor == 1.0))
+    {
+        let of = |name: &str| estimates.iter().position(|estimate| estimate.name == name);
+        let members: Option<Vec<usize>> = sum.factors.iter().map(|(name, _)| of(name)).collect();
+        let Some(members) = members.filter(|members| members.len() > 1) else { continue };
+        let bounds: Option<Vec<[f64; 2]>> = members.iter().map(|&i| estimates[i].bounds).collect();
+        let Some(bounds) = bounds else { continue };
+        let total = |end: usize| bounds.iter().map(|bounds| bounds[end]).sum::<f64>();
+        let half = BELOW * sum.std;
+        for (&member, [low, high]) in members.iter().zip(&bounds) {
+            let (others_low, others_high) = (total(0) - low, total(1) - high);
+            let estimate = &mut estimates[member];
+            estimate.std = None;
+            estimate.interval =
+                [low.max(sum.value - half - others_high), high.min(sum.value + half - others_low)];
+        }
+    }
 }
 
 /// The information with the noise that is there: where predictions err by more than declared, their errors count.
@@ -230,12 +254,13 @@ fn remarks(estimates: &[Estimate], involved: &[usize], combinations: &[Combinati
             ),
         });
     }
-    let told = |names: &[(String, f64)]| {
-        names.iter().all(|(name, _)| estimates.iter().any(|e| e.name == *name && e.std.is_some()))
+    let among = |names: &[(String, f64)]| {
+        names.iter().all(|(name, _)| involved.iter().any(|&i| estimates[i].name == *name))
     };
-    for sum in combinations.iter().filter(|c| !c.product && told(&c.factors)) {
+    for sum in combinations.iter().filter(|c| !c.product && !among(&c.factors)) {
         remarks.push(format!(
-            "the data tell {} far better than each of these delays by itself: take single ones with care",
+            "the data tell {} far better than each of these delays by itself: single ones lie where their bounds and the sum \
+             allow",
             sum.text
         ));
     }
