@@ -64,6 +64,32 @@ pub fn repeat<T: Scalar, C: Tree<T>>(times: usize, carry: C, mut step: impl FnMu
     carry
 }
 
+/// Runs `body` on `values` where the mask holds, and leaves them as they are where it does not. On numbers it is not run in
+/// vain; a trace and lanes that differ run it and choose.
+///
+/// ```
+/// use parallax_model::Scalar;
+/// use parallax_model::control::when;
+///
+/// let mut values = [4.0];
+/// when(values[0].lt(3.0), &mut values, |values| values[0] = 0.0);
+/// assert_eq!(values, [4.0]);
+/// ```
+#[inline(always)]
+pub fn when<T: Scalar>(mask: T::Mask, values: &mut [T], body: impl FnOnce(&mut [T])) {
+    match T::decided(mask) {
+        Some(true) => body(values),
+        Some(false) => {}
+        None => {
+            let before = values.to_vec();
+            body(values);
+            for (value, before) in values.iter_mut().zip(before) {
+                *value = T::select(mask, *value, before);
+            }
+        }
+    }
+}
+
 /// The same computation on each element.
 ///
 /// ```

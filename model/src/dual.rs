@@ -274,6 +274,10 @@ impl<const N: usize> Scalar for Dual<N> {
     fn select(mask: bool, then: Self, otherwise: Self) -> Self {
         if mask { then } else { otherwise }
     }
+    #[inline(always)]
+    fn decided(mask: bool) -> Option<bool> {
+        Some(mask)
+    }
 }
 
 /// Slope of the arcsine, zero at ±1 where it is infinite.

@@ -64,6 +64,7 @@ extern crate self as parallax_model;
 pub mod control;
 pub mod dual;
 pub mod effect;
+pub mod filter;
 pub mod fit;
 pub mod integrate;
 pub mod lanes;

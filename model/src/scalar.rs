@@ -108,6 +108,13 @@ pub trait Scalar:
     /// `then` where `mask` holds, else `otherwise`.
     fn select(mask: Self::Mask, then: Self, otherwise: Self) -> Self;
 
+    /// Whether the mask holds wherever it is asked for (true) or nowhere (false), as far as that is known: what is not needed
+    /// need not be computed. See [`crate::control::when`].
+    fn decided(mask: Self::Mask) -> Option<bool> {
+        let _ = mask;
+        None
+    }
+
     /// The smaller of two.
     fn min(self, other: Self) -> Self {
         Self::select(self.lt(other), self, other)
@@ -268,5 +275,8 @@ impl Scalar for f64 {
     }
     fn select(mask: bool, then: Self, otherwise: Self) -> Self {
         if mask { then } else { otherwise }
+    }
+    fn decided(mask: bool) -> Option<bool> {
+        Some(mask)
     }
 }

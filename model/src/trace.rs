@@ -320,6 +320,13 @@ impl Scalar for Traced {
         }
     }
 
+    fn decided(mask: TracedMask) -> Option<bool> {
+        match mask.0 {
+            Known::Constant(known) => Some(known),
+            Known::Place(_) => None,
+        }
+    }
+
     fn scan_values(
         length: usize,
         carry: &mut [Self],

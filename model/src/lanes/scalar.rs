@@ -289,6 +289,14 @@ impl<V: Vector, const K: usize> Scalar for Lanes<V, K> {
         result
     }
     #[inline(always)]
+    fn decided(mask: Mask<V, K>) -> Option<bool> {
+        let all = |mask: Mask<V, K>| mask.0.iter().all(|mask| V::all(*mask));
+        if all(mask) {
+            return Some(true);
+        }
+        all(!mask).then_some(false)
+    }
+    #[inline(always)]
     fn min(self, other: Self) -> Self {
         zip!(self, other, (a, b) => V::select(a.lt(b), a, b))
     }

@@ -181,6 +181,18 @@ impl<'a, T: Scalar> NodeStep<'a, T> {
         self.inputs.payload(port, self.inputs.window(port) - 1)[leaf]
     }
 
+    /// Message `index` of the window of `port`, oldest first, for models whose messages are known only at run time: its number
+    /// (−1 for an initial message), when it was sent and received (s), and its leaves.
+    ///
+    /// # Panics
+    ///
+    /// When there is no such port or message: a mistake in the model itself.
+    #[inline(always)]
+    pub fn raw(&self, port: &str, index: usize) -> ([T; 3], &'a [T]) {
+        let port = self.find(port);
+        (self.inputs.stamp(port, index), self.inputs.payload(port, index))
+    }
+
     #[inline(always)]
     fn find(&self, port: &str) -> usize {
         match self.inputs.port(port) {
