@@ -198,7 +198,7 @@ pub fn kind(system: &System, layout: impl Fn(&str) -> Option<Layout>) -> Result<
 }
 
 /// `two_link_arm` as `TwoLinkArm`, a message's name.
-fn camel(name: &str) -> String {
+pub(crate) fn camel(name: &str) -> String {
     let parts = name.split(|c: char| !c.is_ascii_alphanumeric()).filter(|part| !part.is_empty());
     parts.map(|part| part[..1].to_ascii_uppercase() + &part[1..]).collect()
 }

@@ -2,7 +2,7 @@
 //!
 //! [`models`] holds the mathematics of robots: pure functions generic over the scalar. [`pendulum`] and [`quadrotor`]
 //! are graphs of nodes around them, [`pid`] is a controller for any graph, [`equations`] makes a node from a
-//! `system.toml`, [`playback`] commands what a file says, [`dynamixel`] drives servos,
+//! `system.toml`, [`estimator`] estimates where it is, [`playback`] commands what a file says, [`dynamixel`] drives servos,
 //! [`policy`] steps a trained network. [`registry()`] names every kind of node and [`graph`] every graph.
 //!
 //! ```
@@ -15,6 +15,7 @@
 pub mod command_file;
 pub mod dynamixel;
 pub mod equations;
+pub mod estimator;
 pub mod models;
 pub mod pendulum;
 pub mod pid;

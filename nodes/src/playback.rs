@@ -43,11 +43,12 @@ const STAMP: &str = "stamp";
 pub fn with_playback(registry: Registry) -> Registry {
     let names: Vec<String> = registry.names().filter(|n| !n.starts_with(PREFIX)).map(Into::into).collect();
     names.into_iter().fold(registry, |registry, name| match registry.get(&name) {
-        Some(kind) => {
+        // What these send is known in a graph only.
+        Some(kind) if !kind.is_by_graph() => {
             let kind = kind_like(kind);
             registry.with(format!("{PREFIX}{name}"), kind)
         }
-        None => registry,
+        _ => registry,
     })
 }
 

@@ -3,7 +3,7 @@
 use parallax_runtime::graph::GraphSpec;
 use parallax_runtime::registry::Registry;
 
-use crate::{dynamixel, pendulum, playback, quadrotor};
+use crate::{dynamixel, estimator, pendulum, playback, quadrotor};
 
 /// The kinds of node that come with Parallax, each also as one that plays a file ([`playback`]). The pendulum's world hides what the environment says
 /// ([`pendulum::hidden::SEED_VARIABLE`]).
@@ -15,7 +15,7 @@ use crate::{dynamixel, pendulum, playback, quadrotor};
 /// ```
 pub fn registry() -> Registry {
     let robots = quadrotor::kinds(pendulum::kinds_from_environment(Registry::new()));
-    playback::with_playback(dynamixel::kinds(robots))
+    playback::with_playback(dynamixel::kinds(robots)).with("estimator", estimator::kind())
 }
 
 /// The names of the graphs that come with Parallax.

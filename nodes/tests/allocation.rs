@@ -75,6 +75,46 @@ fn steps_of_the_pendulums_nodes_allocate_nothing() {
     }
 }
 
+/// Estimators take their memory at the first step, late readings and sixteen commands in flight included.
+#[test]
+fn steps_of_estimators_allocate_nothing() {
+    let sends = serde_json::json!({
+        "message": "pendulum/Estimate", "leaves": ["angle", "speed", "stamp"], "values": ["q", "v", "stamp"],
+    });
+    let system = serde_json::json!({
+        "initial": { "q": 3.1, "v": 0.0 }, "std": { "q": 2.0, "v": 5.0 }, "disturbance": { "v": 2.0 }, "ahead": 0.03,
+        "reorder": 2, "sends": sends, "scaling": { "alpha": 0.1, "beta": 2.0, "kappa": 0.0 },
+    });
+    let ukf = serde_json::json!({ "ahead": 0.03, "reorder": 2 });
+    for (kind, parameters) in [("pendulum/ukf", ukf), ("estimator", system)] {
+        let mut spec = pendulum::graph();
+        let estimator = spec.node_mut("estimator").expect("it has one");
+        estimator.kind = kind.into();
+        estimator.parameters = serde_json::from_value(parameters).expect("a table");
+        let graph = spec.validate(&registry()).expect("valid");
+        let mut node = graph.build(graph.index("estimator").expect("there"), 1).expect("builds");
+        let mut output = [0.0; 3];
+        let (mut camera, mut motor) = (InputWindow::new("camera", 2, 1), InputWindow::new("motor", 1, 16));
+        for tick in 1..100u64 {
+            let now = tick as i64 * SECOND / 100;
+            camera.clear(0);
+            // Every third picture is older than the one before.
+            let seen = now as f64 * 1e-9 - if tick % 3 == 0 { 0.025 } else { 0.01 };
+            camera.push(Consumed { seq: Some(tick), sent: now, received: now }, &[3.1, seen]);
+            motor.clear(0);
+            for back in (0..16).rev() {
+                let sent = now - back * SECOND / 100;
+                motor.push(Consumed { seq: Some(tick), sent, received: sent }, &[0.5]);
+            }
+            let inputs = [camera.clone(), motor.clone()];
+            let step = Step::new(tick, now, now, &inputs);
+            let count = allocations(|| node.step_into(&step, &mut output).expect("a step"));
+            assert!(tick == 1 || count == 0, "step {tick} of `{kind}`: {count}");
+            assert!(output[0].is_finite() && (output[2] - now as f64 * 1e-9 - 0.03).abs() < 1e-9);
+        }
+    }
+}
+
 #[test]
 fn steps_of_a_policy_allocate_nothing() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/policy/policy.safetensors");

@@ -11,7 +11,7 @@ use parallax_model::node_model::NodeModel;
 use parallax_model::tree::Tree;
 
 use crate::data::{DataNode, Writing};
-use crate::graph::{SafeOutput, SafeValue};
+use crate::graph::{GraphSpec, NodeSpec, SafeOutput, SafeValue};
 use crate::model_node::{ModelKind, ModelStart};
 use crate::node::{ErasedNode, Layout, Message, Node, NodeContext, NodeError, Port};
 use crate::tuning::Parameter;
@@ -69,7 +69,14 @@ pub struct NodeKind {
     build: Arc<Build>,
     /// For kinds of another program.
     external: Option<Arc<BuildExternal>>,
+    /// For kinds that follow from their graph.
+    by_graph: Option<Arc<MakeByGraph>>,
 }
+
+/// Makes the kind of one node of a graph: from the graph, the node, and the messages of other nodes by their names. The error
+/// says what is wrong with the node.
+pub type MakeByGraph =
+    dyn Fn(&GraphSpec, &NodeSpec, &dyn Fn(&str) -> Option<Layout>) -> Result<NodeKind, String> + Send + Sync;
 
 /// An input of a node of another program, as its graph connects it.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -128,6 +135,7 @@ impl NodeKind {
             model: None,
             build: Arc::new(build),
             external: None,
+            by_graph: None,
         }
     }
 
@@ -147,6 +155,31 @@ impl NodeKind {
         };
         let kind = Self::erased(Layout { name: String::new(), leaves: Vec::new() }, Vec::new(), unshaped);
         Self { external: Some(Arc::new(build)), ..kind }.not_deterministic()
+    }
+
+    /// A kind whose inputs, messages or model follow from a node's parameters and the nodes around it: `make` is called for
+    /// every such node when its graph is validated.
+    pub fn by_graph(
+        make: impl Fn(&GraphSpec, &NodeSpec, &dyn Fn(&str) -> Option<Layout>) -> Result<NodeKind, String>
+        + Send
+        + Sync
+        + 'static,
+    ) -> Self {
+        let unshaped = |_: &NodeContext| -> Result<Box<dyn ErasedNode>, NodeError> {
+            Err(NodeError::failed("its messages are not known: no graph has been validated"))
+        };
+        let kind = Self::erased(Layout { name: String::new(), leaves: Vec::new() }, Vec::new(), unshaped);
+        Self { by_graph: Some(Arc::new(make)), ..kind }
+    }
+
+    /// Whether it is known in a graph only.
+    pub fn is_by_graph(&self) -> bool {
+        self.by_graph.is_some()
+    }
+
+    /// What makes the kind of one node, where it is known in a graph only.
+    pub(crate) fn maker(&self) -> Option<&MakeByGraph> {
+        self.by_graph.as_deref()
     }
 
     /// Whether it is run by another program.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow};
 use parallax_model::system::Suggestion;
 use parallax_nodes::command_file::CommandFile;
-use parallax_nodes::playback;
+use parallax_nodes::{estimator, playback};
 use parallax_runtime::graph::{Graph, GraphSpec};
 use parallax_runtime::time::{Nanos, from_seconds};
 use serde_json::Value;
@@ -119,7 +119,11 @@ fn read_graph(path: &Path) -> Result<GraphSpec, Failure> {
             format!("{} cannot be read; give the path of a graph.toml, or one of: {names}", path.display())
         })
         .map_err(Failure::input)?;
-    GraphSpec::from_toml(&text).with_context(|| path.display().to_string()).map_err(Failure::input)
+    let in_file = || path.display().to_string();
+    let mut spec = GraphSpec::from_toml(&text).with_context(in_file).map_err(Failure::input)?;
+    let folder = path.parent().unwrap_or(Path::new("."));
+    estimator::embed(&mut spec, folder).with_context(in_file).map_err(Failure::input)?;
+    Ok(spec)
 }
 
 /// The graph checked against the known kinds of node; its warnings are printed.

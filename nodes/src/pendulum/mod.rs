@@ -18,6 +18,7 @@ pub mod motor;
 pub mod plant;
 pub mod sight;
 pub mod simulator;
+pub mod ukf;
 pub mod world;
 
 use std::f64::consts::{PI, TAU};
@@ -59,6 +60,7 @@ fn everything_but_the_world(registry: Registry) -> Registry {
         .with("pendulum/camera", camera::kind())
         .with("pendulum/encoder", encoder::kind())
         .with("pendulum/estimator", estimator::kind())
+        .with("pendulum/ukf", ukf::kind())
         .with("pendulum/agent", agent::kind())
         .with("pendulum/motor", motor::kind())
         .with("pendulum/plant", plant::kind())

@@ -1,4 +1,4 @@
-//! Nodes that another program runs: their messages follow from the graph.
+//! Nodes whose messages follow from the graph: those that another program runs, and kinds that are made for one node.
 //!
 //! A kind of node says what its messages are. The kinds of another program are not known here, so a graph says it: a
 //! node's inputs take what its senders send, and it sends what its receivers expect, or what its parameters declare:
@@ -37,6 +37,10 @@ pub(super) fn kind(
     registry: &Registry,
 ) -> Result<Option<NodeKind>, GraphError> {
     let Some(kind) = registry.get(&node.kind) else { return Ok(None) };
+    if let Some(make) = kind.maker() {
+        let layout = |name: &str| messages(spec, name, registry, true);
+        return make(spec, node, &layout).map(Some).map_err(|problem| wrong(node, problem));
+    }
     if !kind.is_external() {
         return Ok(Some(kind.clone()));
     }
@@ -46,9 +50,11 @@ pub(super) fn kind(
         // A sender that is not there is told of where connections are checked.
         let Some(sender) = spec.nodes.iter().find(|other| other.name == connection.from) else { continue };
         let layout = match registry.get(&sender.kind) {
-            Some(kind) if !kind.is_external() => kind.output().clone(),
-            Some(_) => sent(spec, sender, registry)?.layout,
-            None => continue,
+            Some(kind) if kind.is_external() => sent(spec, sender, registry)?.layout,
+            _ => match messages(spec, &sender.name, registry, true) {
+                Some(layout) => layout,
+                None => continue,
+            },
         };
         if !inputs.iter().any(|input| input.port.name == connection.port()) {
             let port = InputPort { name: connection.port().to_owned(), layout };
@@ -57,6 +63,22 @@ pub(super) fn kind(
     }
     let initial = initial(node, &layout)?;
     Ok(Some(kind.shaped(inputs, layout, initial, data)))
+}
+
+/// What the node called `name` sends, as far as that can be told. `follow`: also where it follows from the graph itself; one
+/// such node is not asked what another one sends, for they could ask each other.
+fn messages(spec: &GraphSpec, name: &str, registry: &Registry, follow: bool) -> Option<Layout> {
+    let node = spec.nodes.iter().find(|node| node.name == name)?;
+    let kind = registry.get(&node.kind)?;
+    if let Some(make) = kind.maker() {
+        let layout = |name: &str| messages(spec, name, registry, false);
+        return if follow { Some(make(spec, node, &layout).ok()?.output().clone()) } else { None };
+    }
+    if kind.is_external() {
+        Some(sent(spec, node, registry).ok()?.layout)
+    } else {
+        Some(kind.output().clone())
+    }
 }
 
 fn wrong(node: &NodeSpec, problem: impl Into<String>) -> GraphError {
