@@ -113,3 +113,20 @@ fn an_estimator_is_compiled_with_its_graph() {
     }
     assert!(compared > 150, "{compared}");
 }
+
+#[test]
+fn the_example_runs_and_its_text_goes_into_the_graph() {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/compensation");
+    let text = std::fs::read_to_string(folder.join("graph.toml")).unwrap();
+    let mut spec = GraphSpec::from_toml(&text).unwrap();
+    // Elsewhere the file is not there; what was put into the graph is.
+    assert!(spec.validate(&registry()).is_err());
+    parallax_nodes::estimator::embed(&mut spec, &folder).unwrap();
+    let recording = Executor::new(spec.validate(&registry()).unwrap(), 1).record(5 * SECOND).unwrap();
+    assert_eq!(recording.node("estimator").unwrap().layout.name, "pendulum/Estimate");
+    let monitor = recording.node("monitor").unwrap();
+    let last = monitor.messages.last().unwrap();
+    let leaf = |name: &str| last.payload[monitor.layout.leaf(name).unwrap()];
+    assert!(leaf("updates") > 400.0 && leaf("blind") == 0.0, "{last:?}");
+    assert!(leaf("q_std") < 0.01 && leaf("nis_low") < leaf("nis_high"), "{last:?}");
+}
