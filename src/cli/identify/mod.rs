@@ -165,11 +165,15 @@ fn print(found: &Identified, unwritten: &[String], seconds: f64) {
 }
 
 fn row(estimate: &Estimate) -> Vec<String> {
+    // A delay in a row is not determined by itself, but its sum with the others may leave less than its bounds.
+    let narrowed = estimate.bounds.is_some_and(|bounds| bounds != estimate.interval);
     let [low, high] = match estimate.std {
         Some(_) => estimate.interval.map(number),
+        None if narrowed => estimate.interval.map(number),
         None => ["-".into(), "-".into()],
     };
     let note = match (estimate.std, estimate.at_bound) {
+        (None, _) if narrowed => "only in a sum",
         (None, _) => "not determined",
         (Some(_), true) => "at its bound",
         _ => "",
