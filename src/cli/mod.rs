@@ -18,6 +18,7 @@ mod replay;
 mod run;
 mod sim;
 mod supergraph;
+mod task;
 mod top;
 mod tune;
 mod withheld;
@@ -106,6 +107,12 @@ enum Command {
     /// Score the diagnosis on cases whose cause it cannot see.
     #[command(after_help = EXIT_CODES)]
     Withheld(withheld::Arguments),
+    /// Do a whole task, from a recording of an unknown machine to a policy that runs on it: `parallax task pendulum`.
+    #[command(after_help = EXIT_CODES)]
+    Task(task::Arguments),
+    /// Says what the machine of a task was.
+    #[command(name = task::MACHINE_COMMAND, hide = true)]
+    TaskMachine(task::MachineArguments),
     /// Makes the cases of `parallax withheld` and seals their answers.
     #[command(name = withheld::TRUTH_COMMAND, hide = true)]
     WithheldTruth(withheld::truth::Arguments),
@@ -160,6 +167,8 @@ pub(crate) fn main() -> ExitCode {
         Command::Experiment(arguments) => experiment::run(&arguments),
         Command::Identify(arguments) => identify::run(&arguments),
         Command::Withheld(arguments) => withheld::run(&arguments),
+        Command::Task(arguments) => task::run(&arguments),
+        Command::TaskMachine(arguments) => task::machine(&arguments),
         Command::WithheldTruth(arguments) => withheld::truth::run(&arguments),
         Command::WithheldPlay(arguments) => withheld::separate::run(&arguments),
         Command::Set(arguments) => tune::set(&arguments),

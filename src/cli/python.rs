@@ -14,6 +14,9 @@ use parallax_runtime::registry::{NodeKind, Registry};
 
 /// The kind of these nodes.
 const PYTHON: &str = "python";
+/// Where an interpreter for nodes is named.
+const ADVICE: &str =
+    "give one in the launch.toml, [defaults] interpreter = \"/path/to/python\", or activate its environment";
 /// Finds the package without loading it.
 const LOOK: &str = "import importlib.util, sys; sys.exit(importlib.util.find_spec('parallax') is None)";
 
@@ -41,7 +44,7 @@ pub(crate) fn programs(
         let given = launch.nodes.get(&node.name).and_then(|own| own.interpreter.as_ref());
         let interpreter = interpreter(given.or(launch.defaults.interpreter.as_ref()));
         if !looked_at.contains(&interpreter) {
-            check(&interpreter, &node.name)?;
+            check(&interpreter, &format!("node {} is written in Python", node.name), ADVICE)?;
             looked_at.push(interpreter.clone());
         }
         let mut command = vec![interpreter.display().to_string(), "-m".into(), "parallax.worker".into()];
@@ -54,24 +57,26 @@ pub(crate) fn programs(
 }
 
 /// The interpreter: the one that is asked for, that of the active virtual environment, or the system's.
-fn interpreter(given: Option<&PathBuf>) -> PathBuf {
+pub(crate) fn interpreter(given: Option<&PathBuf>) -> PathBuf {
     let environment = || std::env::var_os("VIRTUAL_ENV").map(|path| PathBuf::from(path).join("bin/python"));
     given.cloned().or_else(environment).unwrap_or_else(|| "python3".into())
 }
 
-fn check(interpreter: &Path, node: &str) -> anyhow::Result<()> {
+/// Whether an interpreter can be started and has the package.
+///
+/// # Errors
+///
+/// With `why` one is needed and `advice` where to name another, when it cannot be started or has no package `parallax`.
+pub(crate) fn check(interpreter: &Path, why: &str, advice: &str) -> anyhow::Result<()> {
     let name = interpreter.display();
     let looked = Command::new(interpreter).args(["-c", LOOK]).stdin(Stdio::null()).output();
-    let advice = "give one in the launch.toml, [defaults] interpreter = \"/path/to/python\", or activate its environment";
     match looked {
-        Err(error) => {
-            Err(anyhow!("node {node} is written in Python, and {name} cannot be started ({error}); {advice}"))
-        }
+        Err(error) => Err(anyhow!("{why}, and {name} cannot be started ({error}); {advice}")),
         Ok(output) if !output.status.success() => {
             let said = String::from_utf8_lossy(&output.stderr);
             let said = said.trim().lines().last().map(|line| format!(" ({line})")).unwrap_or_default();
             Err(anyhow!(
-                "node {node} is written in Python, and {name} has no package `parallax`{said}; install it there \
+                "{why}, and {name} has no package `parallax`{said}; install it there \
                  (pip install ./bindings), or {advice}"
             ))
         }

@@ -12,7 +12,8 @@ use parallax_runtime::node::{NodeContext, NodeError};
 use parallax_runtime::random::{Purpose, stream};
 use rand::{Rng, RngExt};
 
-/// The environment variable that holds the seed from which the world draws its effect, a whole number.
+/// The environment variable that holds the seed from which the world draws its effect, a whole number; after the word
+/// `machine`, the world is a [`Machine`] instead.
 pub const SEED_VARIABLE: &str = "PARALLAX_HIDDEN_SEED";
 
 /// One departure of the world from the nominal simulator.
@@ -75,6 +76,41 @@ pub enum HiddenEffect {
         /// The weight times the distance of its centre from the shaft, N m.
         mgl: f64,
     },
+    /// A machine of its own, to be identified before a policy is trained for it: several things are not what the nominal
+    /// simulator believes, and a voltage acts late.
+    Machine(Machine),
+}
+
+/// What is different about a machine.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Machine {
+    /// A voltage acts this much later than it was sent, s.
+    pub delay: f64,
+    /// Moment of inertia about the shaft, kg m².
+    pub inertia: f64,
+    /// Motor constant, N m/A or V s/rad.
+    pub motor: f64,
+    /// Viscous friction, N m s/rad.
+    pub viscous: f64,
+    /// Dry friction, N m.
+    pub coulomb: f64,
+}
+
+impl Machine {
+    /// What the environment's variable begins with when a machine is asked for: `machine 42`.
+    pub const WORD: &'static str = "machine";
+
+    /// Draws one; equal seeds draw equal machines.
+    pub fn draw(seed: u64) -> Self {
+        let mut random = stream(seed, Purpose::Node, "hidden machine");
+        Self {
+            delay: random.random_range(0.030..0.045),
+            inertia: random.random_range(1.4e-4..1.9e-4),
+            motor: random.random_range(0.029..0.038),
+            viscous: random.random_range(5e-6..5e-5),
+            coulomb: random.random_range(2e-4..1e-3),
+        }
+    }
 }
 
 /// What the world hid, in the words of a diagnosis.
@@ -169,6 +205,17 @@ impl HiddenEffect {
             ),
             Self::Bias { bias } => truth("bias", "output:angle", &[("bias", bias, "rad")]),
             Self::Weight { mgl } => truth("parameter", "parameter:mgl", &[("value", mgl, "N m")]),
+            Self::Machine(Machine { delay, inertia, motor, viscous, coulomb }) => truth(
+                Machine::WORD,
+                "joint:shaft",
+                &[
+                    ("delay", delay, "s"),
+                    ("inertia", inertia, "kg m^2"),
+                    ("motor", motor, "N m/A"),
+                    ("viscous", viscous, "N m s/rad"),
+                    ("coulomb", coulomb, "N m"),
+                ],
+            ),
         }
     }
 }
@@ -185,10 +232,18 @@ pub fn from_environment(context: &NodeContext) -> Result<HiddenEffect, NodeError
 fn effect_of(variable: Result<String, VarError>, context: &NodeContext) -> Result<HiddenEffect, NodeError> {
     match variable {
         Err(VarError::NotPresent) => Ok(HiddenEffect::None),
-        Ok(text) => text.trim().parse().map(HiddenEffect::draw).map_err(|_| {
-            context
-                .parameter_error(format!("the environment's {SEED_VARIABLE} is `{text}`, not a whole number"))
-        }),
+        Ok(text) => {
+            let (machine, seed) = match text.trim().strip_prefix(Machine::WORD) {
+                Some(seed) => (true, seed),
+                None => (false, text.as_str()),
+            };
+            let seed = seed.trim().parse().map_err(|_| {
+                context.parameter_error(format!(
+                    "the environment's {SEED_VARIABLE} is `{text}`, not a whole number"
+                ))
+            })?;
+            Ok(if machine { HiddenEffect::Machine(Machine::draw(seed)) } else { HiddenEffect::draw(seed) })
+        }
         Err(error) => Err(context.parameter_error(format!("the environment's {SEED_VARIABLE}: {error}"))),
     }
 }
@@ -204,6 +259,7 @@ mod tests {
         let effect = |text: &str| effect_of(Ok(text.to_owned()), &context);
         assert_eq!(effect_of(Err(VarError::NotPresent), &context), Ok(HiddenEffect::None));
         assert_eq!(effect(" 42 "), Ok(HiddenEffect::draw(42)));
+        assert_eq!(effect("machine 42"), Ok(HiddenEffect::Machine(Machine::draw(42))));
         let error = effect("friction").expect_err("no number").to_string();
         assert!(error.contains("PARALLAX_HIDDEN_SEED is `friction`"), "{error}");
     }

@@ -13,7 +13,7 @@ use parallax_runtime::node::{Node, NodeContext, NodeError, Port, Step};
 use parallax_runtime::registry::NodeKind;
 use parallax_runtime::time::{Nanos, from_seconds, to_seconds};
 
-use super::hidden::HiddenEffect;
+use super::hidden::{HiddenEffect, Machine};
 use super::messages::{Voltage, WorldState};
 
 /// The commands.
@@ -164,7 +164,9 @@ impl Pendulum {
 
     fn delay(&self) -> Nanos {
         match self.effect {
-            HiddenEffect::Delay { delay } => from_seconds(delay),
+            HiddenEffect::Delay { delay } | HiddenEffect::Machine(Machine { delay, .. }) => {
+                from_seconds(delay)
+            }
             _ => 0,
         }
     }
@@ -197,7 +199,12 @@ impl Pendulum {
 
         let viscous = match self.effect {
             HiddenEffect::Viscous { coefficient } => VISCOUS + coefficient,
+            HiddenEffect::Machine(Machine { viscous, .. }) => viscous,
             _ => VISCOUS,
+        };
+        let (inertia, motor) = match self.effect {
+            HiddenEffect::Machine(Machine { inertia, motor, .. }) => (inertia, motor),
+            _ => (INERTIA, MOTOR_CONSTANT),
         };
         let weight = match self.effect {
             HiddenEffect::Weight { mgl } => mgl,
@@ -205,12 +212,12 @@ impl Pendulum {
         };
         let voltage = self.voltage(h);
         // A linear equation during the kick, solved exactly: v' = a − d v.
-        let damping = (viscous + MOTOR_CONSTANT * MOTOR_CONSTANT / RESISTANCE) / INERTIA;
-        let push = (MOTOR_CONSTANT / RESISTANCE * voltage + weight * self.angle.sin()) / INERTIA;
+        let damping = (viscous + motor * motor / RESISTANCE) / inertia;
+        let push = (motor / RESISTANCE * voltage + weight * self.angle.sin()) / inertia;
         let terminal = push / damping;
         let free = terminal + (self.speed - terminal) * (-damping * h).exp();
         // Dry friction takes what momentum it can, and no more: it holds what it can stop (J. J. Moreau's time stepping).
-        let loss = self.dry_friction(free) * h / INERTIA;
+        let loss = self.dry_friction(free) * h / inertia;
         self.speed = if free.abs() <= loss { 0.0 } else { free - loss.copysign(free) };
 
         self.angle += 0.5 * h * self.speed;
@@ -234,7 +241,7 @@ impl Pendulum {
     /// The largest torque of dry friction when moving, or about to move, this way, N m.
     fn dry_friction(&self, speed: f64) -> f64 {
         match self.effect {
-            HiddenEffect::Coulomb { force } => force,
+            HiddenEffect::Coulomb { force } | HiddenEffect::Machine(Machine { coulomb: force, .. }) => force,
             HiddenEffect::AsymmetricFriction { forward, .. } if speed > 0.0 => forward,
             HiddenEffect::AsymmetricFriction { backward, .. } => backward,
             _ => 0.0,

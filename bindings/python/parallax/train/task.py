@@ -19,12 +19,20 @@ __all__ = ["Task", "with_state"]
 class Task(Protocol):
     """What a policy learns to do. All methods are pure; they see one environment."""
 
-    observations: Sequence[str]
-    """Leaves of the message that the policy's node receives; `sin(leaf)` and `cos(leaf)` may stand for an angle."""
-    actions: Mapping[str, tuple[float, float]]
-    """Leaves of the message that it sends, each with its smallest and its largest value."""
-    seconds: float
-    """How long an episode lasts, s. Its end is no end of the world: the value of what follows is counted."""
+    @property
+    def observations(self) -> Sequence[str]:
+        """Leaves of the message that the policy's node receives; `sin(leaf)` and `cos(leaf)` may stand for an angle."""
+        ...
+
+    @property
+    def actions(self) -> Mapping[str, tuple[float, float]]:
+        """Leaves of the message that it sends, each with its smallest and its largest value."""
+        ...
+
+    @property
+    def seconds(self) -> float:
+        """How long an episode lasts, s. Its end is no end of the world: the value of what follows is counted."""
+        ...
 
     def start(self, key: Array, state: GraphState) -> GraphState:
         """Draws where an episode starts."""

@@ -1,0 +1,65 @@
+//! `parallax task`: whole tasks, from a recording to a policy that runs. The Python package does them, because policies are
+//! trained in JAX; this starts it, and says so where it is absent.
+
+use std::path::PathBuf;
+use std::process::Command;
+
+use anyhow::{Context, anyhow};
+use clap::Args;
+use parallax_nodes::pendulum::hidden::{HiddenEffect, Machine};
+use parallax_runtime::launch::signals::Signals;
+use serde_json::{Map, Value, json};
+
+use super::failure::{Failure, Outcome, Sort};
+use super::{output, python};
+
+/// Asks what a task's machine was, when the task is done.
+pub(crate) const MACHINE_COMMAND: &str = "task-machine";
+
+#[derive(Args)]
+pub(crate) struct Arguments {
+    /// The Python interpreter with the package `parallax` and its extra `train`; without it that of the active virtual
+    /// environment, or python3.
+    #[arg(long, value_name = "FILE")]
+    interpreter: Option<PathBuf>,
+    /// The task and its options: `pendulum`, or `pendulum --help`.
+    #[arg(required = true, trailing_var_arg = true, allow_hyphen_values = true, value_name = "TASK")]
+    task: Vec<String>,
+}
+
+#[derive(Args)]
+pub(crate) struct MachineArguments {
+    #[arg(long)]
+    seed: u64,
+}
+
+pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
+    let interpreter = python::interpreter(arguments.interpreter.as_ref());
+    let advice = "give one by --interpreter, or activate its environment";
+    python::check(&interpreter, "a task trains its policies in Python", advice).map_err(Failure::input)?;
+    let program = std::env::current_exe().context("where this program is").map_err(Failure::runtime)?;
+    // Ctrl-C reaches both: the task ends what it does, and this waits for it.
+    let _signals = Signals::watch().runtime()?;
+    let status = Command::new(&interpreter)
+        .args(["-m", "parallax.task"])
+        .args(&arguments.task)
+        .env("PARALLAX_BIN", program)
+        .status()
+        .with_context(|| format!("{} cannot be started", interpreter.display()))
+        .map_err(Failure::runtime)?;
+    match status.code() {
+        Some(0) => Ok(Outcome::Done),
+        Some(130) => Ok(Outcome::Interrupted),
+        Some(2) => Err(Failure::input(anyhow!("the task could not begin; see above"))),
+        _ => Err(Failure::runtime(anyhow!("the task failed ({status}); see above"))),
+    }
+}
+
+pub(crate) fn machine(arguments: &MachineArguments) -> Result<Outcome, Failure> {
+    let truth = HiddenEffect::Machine(Machine::draw(arguments.seed)).truth();
+    let parameters = truth.into_iter().flat_map(|truth| truth.parameters);
+    let values: Map<String, Value> =
+        parameters.map(|(name, value, _)| (name.to_owned(), json!(value))).collect();
+    output::json(&values)?;
+    Ok(Outcome::Done)
+}
