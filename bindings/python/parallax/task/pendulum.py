@@ -147,7 +147,7 @@ def pendulum(options: Options) -> Result:
 
     say("3. Fitting the delays that the stamps show.")
     delays = json.loads(
-        parallax("delays", recording, "--out", out / "fitted.toml", "--plot", out / "delays.svg", "--json")
+        parallax("delays", recording, "--out", out / "fitted.toml", "--plot", out / "delays.html", "--json")
     )
 
     chosen = {name: VARIANTS[name] for name in options.variants}

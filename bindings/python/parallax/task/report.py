@@ -22,7 +22,7 @@ __all__ = ["write_report"]
 
 STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}
 table{border-collapse:collapse;margin:1rem 0}td,th{padding:.2rem .8rem;border-bottom:1px solid #ddd;text-align:left}
-svg{max-width:100%;height:auto}p.note{color:#666}"""
+svg{max-width:100%;height:auto}p.note{color:#666}iframe{width:100%;height:44rem;border:1px solid #ddd}"""
 SVG = re.compile(r"<svg\b.*?</svg>", re.DOTALL)
 TRUTHS = {"J": "inertia", "K": "motor", "b": "viscous", "c": "coulomb", "actuator": "delay"}
 """What the machine calls what is identified."""
@@ -37,7 +37,6 @@ def write_report(
 ) -> None:
     """Writes `report.html`, which needs no other file."""
     curves = plot_curves(trainings, out / "curves.svg")
-    reconstruction = SVG.findall((out / "identify" / "report.html").read_text(encoding="utf-8"))
     parts = [
         "<h1>The pendulum's task</h1>",
         f"<p>A machine that nobody had measured (seed {result.seed}) was recorded, identified, and given policies that "
@@ -46,9 +45,9 @@ def write_report(
         _estimates(result),
         *(f"<p class=note>{html.escape(remark)}</p>" for remark in result.identified["remarks"]),
         "<h2>Open-loop reconstruction</h2>",
-        *reconstruction,
+        _page(out / "identify" / "report.html"),
         "<h2>Delays</h2>",
-        "".join(SVG.findall((out / "delays.svg").read_text(encoding="utf-8"))),
+        _page(out / "delays.html"),
         _missing(delays),
         "<h2>Training</h2>",
         "".join(SVG.findall(curves.read_text(encoding="utf-8"))),
@@ -60,6 +59,11 @@ def write_report(
     ]
     text = f"<!doctype html><meta charset=utf-8><title>The pendulum's task</title><style>{STYLE}</style>"
     (out / "report.html").write_text(text + "\n".join(parts), encoding="utf-8")
+
+
+def _page(path: Path) -> str:
+    """A page within the page: both keep their styles."""
+    return f'<iframe srcdoc="{html.escape(path.read_text(encoding="utf-8"))}"></iframe>'
 
 
 def _table(head: list[str], rows: list[list[str]]) -> str:

@@ -1,0 +1,65 @@
+"""The pendulum's task, whole and small: a machine in real time, identified, trained for, and run."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from conftest import _program
+
+
+def task(*arguments, interpreter=sys.executable):
+    command = [_program(), "task", "--interpreter", interpreter, *map(os.fspath, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=500, check=False)
+
+
+def test_from_a_recording_to_a_policy_that_runs(tmp_path, monkeypatch):
+    monkeypatch.setenv("PARALLAX_CACHE", str(tmp_path / "cache"))
+    out = tmp_path / "out"
+    few = ["--record", "8", "--steps", "8192", "--runs", "1", "--run", "2", "--seed", "11"]
+    done = task("pendulum", "--out", out, *few, "--variants", "full-state-estimated", "camera-delays", "--json")
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told == json.loads((out / "task.json").read_text())
+    found = {estimate["name"]: estimate for estimate in told["identified"]["estimates"]}
+    truth = told["truth"]
+    assert abs(found["actuator"]["value"] - truth["delay"]) < 2e-3
+    assert abs(found["J"]["value"] / truth["inertia"] - 1) < 0.05
+    assert abs(found["K"]["value"] / truth["motor"] - 1) < 0.05
+    # Nothing that the task could read before its end says what the machine was.
+    for file in ("machine.toml", "identify.toml", "fitted.toml", "runs/camera-delays.toml"):
+        assert str(truth["delay"]) not in (out / file).read_text()
+    assert set(told["variants"]) == {"full-state-estimated", "camera-delays"}
+    for variant in told["variants"].values():
+        assert 0.0 <= variant["upright"][0] <= variant["held"][0] <= 1.0
+    # The policy of the camera has its history in the file that the node loaded.
+    policy = out / "training" / "camera-delays-4-6" / "policy.safetensors"
+    assert b'"past_actions":"6"' in policy.read_bytes()
+    page = (out / "report.html").read_text()
+    for part in ("What was identified", "Open-loop reconstruction", "Delays", "Training", "in real time", "<svg"):
+        assert part in page
+    assert 'src="http' not in page
+
+
+def test_what_is_missing_is_said(tmp_path):
+    done = task("pendulum", interpreter="/no/such/python")
+    assert done.returncode == 2
+    assert "a task trains its policies in Python" in done.stderr
+    assert "--interpreter" in done.stderr
+    done = task("pendulum", "--variants", "nobody")
+    assert done.returncode == 2
+    assert "full-state" in done.stderr
+    done = task("pendulum", "--out", tmp_path, "--parallax", "/no/such/program")
+    assert done.returncode == 2
+    assert "/no/such/program" in done.stderr
+
+
+@pytest.mark.parametrize("arguments", [["pendulum", "--help"], ["--help"]])
+def test_help_helps(arguments):
+    done = task(*arguments)
+    assert done.returncode == 0
+    assert "pendulum" in done.stdout
