@@ -12,6 +12,7 @@ pub mod agent;
 pub mod camera;
 pub mod encoder;
 pub mod estimator;
+pub mod film;
 pub mod hidden;
 mod messages;
 pub mod motor;
@@ -59,6 +60,8 @@ fn everything_but_the_world(registry: Registry) -> Registry {
     registry
         .with("pendulum/camera", camera::kind())
         .with("pendulum/encoder", encoder::kind())
+        .with("pendulum/film", film::film())
+        .with("pendulum/detector", film::detector())
         .with("pendulum/estimator", estimator::kind())
         .with("pendulum/ukf", ukf::kind())
         .with("pendulum/agent", agent::kind())

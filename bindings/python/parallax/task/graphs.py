@@ -19,6 +19,10 @@ hold_out = 0.2
 kind = "pendulum/simulator"
 rate = 100.0
 
+# The camera's place in the simulation: it shows the angle, without pictures.
+[nodes.camera]
+kind = "pendulum/camera"
+
 [parameters]
 "world.pendulum.inertia"  = { low = 8e-5, high = 3.2e-4, scale = "log", unit = "kg m^2", name = "J" }
 "world.pendulum.motor"    = { low = 0.015, high = 0.06, scale = "log", unit = "N m/A", name = "K" }
@@ -42,17 +46,31 @@ rate = 100.0
 others are determined by the motion."""
 
 NONE: dict[str, Any] = {"distribution": "constant", "seconds": 0.0}
+RENDERING: dict[str, Any] = {"distribution": "normal", "mean": 1e-3, "std": 1e-4}
+"""What a picture takes, as the schedule expects it."""
+
 ENCODER = {"name": "encoder", "kind": "pendulum/encoder", "rate": 100.0, "computation": NONE}
 
 
 def recorded() -> dict[str, Any]:
-    """The machine, its camera and its motor; the agent's commands come from a file."""
-    return Graph("pendulum").spec
+    """The machine, a film of it, the detector that finds its mark there, and its motor.
+
+    The agent's commands come from a file.
+    """
+    spec = Graph("pendulum").spec
+    spec["node"].append({"name": "film", "kind": "pendulum/film", "rate": 100.0, "computation": RENDERING})
+    node(spec, "camera")["kind"] = "pendulum/detector"
+    edges = [each for each in spec["connection"] if each["to"] != "camera"]
+    edges += [
+        {"from": "world", "to": "film", "blocking": True, "delay": wire(spec)},
+        {"from": "film", "to": "camera", "blocking": True, "delay": wire(spec)},
+    ]
+    return {**spec, "connection": edges}
 
 
 def deployed(sensor: str, policy: str, kind: str) -> dict[str, Any]:
     """The machine with a policy in the agent's place; `sensor` is what the policy sees."""
-    spec = Graph("pendulum").spec
+    spec = recorded()
     node(spec, "agent").update(kind=kind, parameters={"file": policy})
     edges = [edge for edge in spec["connection"] if edge["to"] != "agent"]
     if sensor == "encoder":
@@ -67,6 +85,7 @@ def simulated(identified: Mapping[str, Any], fitted: Mapping[str, Any], sensor: 
     they were measured. Without `delays`, none."""
     world = copy.deepcopy(node(identified, "world"))
     camera, agent, motor = (copy.deepcopy(node(fitted, name)) for name in ("camera", "agent", "motor"))
+    camera.update(kind="pendulum/camera")
     own = camera if sensor == "camera" else copy.deepcopy(ENCODER)
     agent.update(kind="pendulum/camera-policy" if sensor == "camera" else "pendulum/policy", parameters={"file": "-"})
     hidden = edge(identified, "motor", "world")["delay"]
