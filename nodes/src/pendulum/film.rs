@@ -17,6 +17,7 @@ use parallax_runtime::registry::NodeKind;
 use parallax_runtime::time::to_seconds;
 use rand::Rng;
 
+use super::camera;
 use super::messages::{Angle, WorldState};
 use super::wrapped;
 
@@ -142,6 +143,12 @@ pub fn detector() -> NodeKind {
     NodeKind::new(move |_| Ok(Detector { background: vec![i16::MAX; WIDTH * HEIGHT].into(), last: hanging }))
         .input(FILM)
         .initial(&hanging)
+}
+
+/// The kind `pendulum/detector-simulated`: what film and detector do together, as a model of the angle. It stands where the
+/// detector stands in a recorded graph, with the film's input, which it does not read.
+pub fn simulated() -> NodeKind {
+    camera::kind().input(FILM)
 }
 
 impl Detector {

@@ -62,6 +62,7 @@ fn everything_but_the_world(registry: Registry) -> Registry {
         .with("pendulum/encoder", encoder::kind())
         .with("pendulum/film", film::film())
         .with("pendulum/detector", film::detector())
+        .with("pendulum/detector-simulated", film::simulated())
         .with("pendulum/estimator", estimator::kind())
         .with("pendulum/ukf", ukf::kind())
         .with("pendulum/agent", agent::kind())

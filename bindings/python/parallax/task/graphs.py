@@ -19,9 +19,9 @@ hold_out = 0.2
 kind = "pendulum/simulator"
 rate = 100.0
 
-# The camera's place in the simulation: it shows the angle, without pictures.
+# The detector's place in the simulation: it shows the angle, without pictures.
 [nodes.camera]
-kind = "pendulum/camera"
+kind = "pendulum/detector-simulated"
 
 [parameters]
 "world.pendulum.inertia"  = { low = 8e-5, high = 3.2e-4, scale = "log", unit = "kg m^2", name = "J" }
@@ -46,6 +46,9 @@ kind = "pendulum/camera"
 others are determined by the motion."""
 
 NONE: dict[str, Any] = {"distribution": "constant", "seconds": 0.0}
+PICTURES = 50.0
+"""Pictures a second; a recording holds all of them, 1.6 MB for each second."""
+
 RENDERING: dict[str, Any] = {"distribution": "normal", "mean": 1e-3, "std": 1e-4}
 """What a picture takes, as the schedule expects it."""
 
@@ -58,8 +61,8 @@ def recorded() -> dict[str, Any]:
     The agent's commands come from a file.
     """
     spec = Graph("pendulum").spec
-    spec["node"].append({"name": "film", "kind": "pendulum/film", "rate": 100.0, "computation": RENDERING})
-    node(spec, "camera")["kind"] = "pendulum/detector"
+    spec["node"].append({"name": "film", "kind": "pendulum/film", "rate": PICTURES, "computation": RENDERING})
+    node(spec, "camera").update(kind="pendulum/detector", rate=PICTURES)
     edges = [each for each in spec["connection"] if each["to"] != "camera"]
     edges += [
         {"from": "world", "to": "film", "blocking": True, "delay": wire(spec)},
