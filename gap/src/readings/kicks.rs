@@ -441,7 +441,7 @@ mod tests {
             for (e, r) in innovations[k..].iter_mut().zip(&response) {
                 *e += share * r;
             }
-            kicks.push(Kick { command: k + 1, late: 0.01, first: k, response });
+            kicks.push(Kick { command: k + 1, change: 1.0, late: 0.01, first: k, response });
         }
         let along = kicks.iter().map(|k| dot(&k.response, &innovations[k.first..])).collect();
         let gram = (0..count)
