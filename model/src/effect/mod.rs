@@ -35,7 +35,8 @@ use crate::Scalar;
 /// A named effect, in one functional form. Names are those of reports and of `[[effect]]` entries in a `system.toml`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Effect {
-    /// A command acts, or an output shows, `delay` late.
+    /// A command acts, or an output shows, `delay` late. A command that was smooth before it was sampled, or that is stamped when
+    /// it is logged, acts early: its delay is negative.
     Delay,
     /// A first-order low-pass on a command.
     Lag,
