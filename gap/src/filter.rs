@@ -108,15 +108,6 @@ enum Tick {
 /// Blocks of readings whose scores count as independent.
 const BLOCKS: usize = 60;
 
-/// First steps of the search for the noise, in its logarithm: where nothing is known of it, and near a known one.
-pub(crate) const FAR: f64 = 1.5;
-pub(crate) const NEAR: f64 = 0.375;
-
-/// The step below which the search ends; the one above which a share of the readings does.
-const FINEST: f64 = 0.08;
-const COARSE: f64 = 0.3;
-const COARSE_SHARE: f64 = 0.5;
-
 /// A lane that reads nothing.
 const NOTHING: u8 = u8::MAX;
 
@@ -401,16 +392,14 @@ impl Pass {
         spread
     }
 
-    /// −2 log likelihood at another noise, around the walk that was linearised, of a `share` of the readings of each stretch.
-    /// Needs no model evaluation.
-    fn cost_at(&self, scale: &[f64], noise: &Noise, share: f64) -> f64 {
+    /// −2 log likelihood at another noise, around the walk that was linearised. Needs no model evaluation.
+    #[must_use]
+    pub fn cost_at(&self, scale: &[f64], noise: &Noise) -> f64 {
         let intensity = intensities(scale, noise, self.states);
         let output: Vec<f64> = noise.log_output.iter().map(|r| r.exp()).collect();
         let states = self.states;
-        let cost = |tape: &Tape| {
-            let ticks = (share * tape.ticks.len() as f64).ceil() as usize;
-            Level::widest().run(CostAt { tape, ticks, states, intensity: &intensity, output: &output })
-        };
+        let cost =
+            |tape| Level::widest().run(CostAt { tape, states, intensity: &intensity, output: &output });
         self.tapes.iter().map(|tape| cost(tape).to_array().iter().sum::<f64>()).sum()
     }
 
@@ -425,25 +414,11 @@ impl Pass {
         limits: &[(f64, f64)],
         process_floor: f64,
     ) -> Noise {
-        self.refit_noise_from(scale, noise, limits, process_floor, FAR)
-    }
-
-    /// The same, with another first step.
-    pub(crate) fn refit_noise_from(
-        &self,
-        scale: &[f64],
-        noise: &Noise,
-        limits: &[(f64, f64)],
-        process_floor: f64,
-        far: f64,
-    ) -> Noise {
         let mut best = noise.clone();
+        let mut cost = self.cost_at(scale, &best);
         let process = scale.iter().any(|s| *s > 0.0);
-        let mut step = far;
-        // Far away a part of the readings shows the way.
-        let share = |step: f64| if step > COARSE { COARSE_SHARE } else { 1.0 };
-        let mut cost = self.cost_at(scale, &best, share(step));
-        while step > FINEST {
+        let mut step = 1.5_f64;
+        while step > 0.08 {
             let mut improved = false;
             for coordinate in 0..=best.log_output.len() {
                 for direction in [-1.0, 1.0] {
@@ -461,7 +436,7 @@ impl Pass {
                     if trial == best {
                         continue;
                     }
-                    let trial_cost = self.cost_at(scale, &trial, share(step));
+                    let trial_cost = self.cost_at(scale, &trial);
                     if trial_cost < cost {
                         (best, cost, improved) = (trial, trial_cost, true);
                         break;
@@ -470,9 +445,6 @@ impl Pass {
             }
             if !improved {
                 step /= 2.0;
-                if share(step) != share(2.0 * step) {
-                    cost = self.cost_at(scale, &best, share(step));
-                }
             }
         }
         best

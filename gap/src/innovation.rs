@@ -1,6 +1,6 @@
 //! Fits by innovation likelihood: the filter, its noise re-estimated, under one hypothesis.
 
-use crate::filter::{FAR, NEAR, Noise, Pass, Start, filter};
+use crate::filter::{Noise, Pass, Start, filter};
 use crate::fit::{Local, Minimum, minimise};
 use crate::hypothesis::Hypothesis;
 use crate::shooting::{lateness, locate};
@@ -156,7 +156,7 @@ pub fn fit(
     iterations: usize,
 ) -> InnovationFit {
     let p = simulator.parameters();
-    let (mut noise, mut far) = (noise.clone(), FAR);
+    let mut noise = noise.clone();
     let mut last: Option<(Vec<f64>, Pass)> = None;
     let minimum = minimise(&hypothesis.fitted, start, iterations, |theta, accepted| {
         let known = last.take().filter(|(at, _)| at == theta);
@@ -165,8 +165,7 @@ pub fn fit(
             None => walk(simulator, segments, model, &noise, theta),
         };
         if accepted {
-            let better = pass.refit_noise_from(&model.scale, &noise, &model.limits, model.process_floor, far);
-            far = NEAR;
+            let better = pass.refit_noise(&model.scale, &noise, &model.limits, model.process_floor);
             if better != noise {
                 let again = walk(simulator, segments, model, &better, theta);
                 // The search is around a linearised walk: it counts only if the walk itself agrees.

@@ -184,8 +184,6 @@ impl Kernel for Read<'_> {
 /// −2 log likelihood of a tape at another noise, lane by lane.
 pub(super) struct CostAt<'a> {
     pub(super) tape: &'a Tape,
-    /// How many of its ticks count, from the first one.
-    pub(super) ticks: usize,
     pub(super) states: usize,
     pub(super) intensity: &'a [f64],
     pub(super) output: &'a [f64],
@@ -209,7 +207,7 @@ impl Kernel for CostAt<'_> {
         let mut moved = vec![zero; n];
         let mut gain = vec![zero; n];
         let mut cost = zero;
-        for tick in &self.tape.ticks[..self.ticks] {
+        for tick in &self.tape.ticks {
             match tick {
                 Tick::Advance { dt, by_state, pattern } => {
                     let phi = &numbers[*by_state..*by_state + n * n];
