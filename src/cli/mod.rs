@@ -12,6 +12,7 @@ mod identify;
 mod import;
 mod info;
 mod latency;
+mod new;
 mod output;
 mod python;
 mod replay;
@@ -77,9 +78,12 @@ enum Command {
     /// Run the nodes of a recording again, on exactly what they consumed, and compare.
     #[command(after_help = EXIT_CODES)]
     Replay(replay::Arguments),
-    /// Turn a folder of CSV logs into a recording.
+    /// Bring in a log of another program: CSV, Parquet, a ROS 2 bag.
     #[command(after_help = EXIT_CODES)]
     Import(import::Arguments),
+    /// Write a file to begin with: a system.toml of what your simulator believes of a machine.
+    #[command(after_help = EXIT_CODES)]
+    New(new::Arguments),
     /// Say what is in a recording, a folder of logs, a graph or a system.
     #[command(after_help = EXIT_CODES)]
     Info(info::Arguments),
@@ -178,6 +182,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Sim(arguments) => sim::run(&arguments),
         Command::Replay(arguments) => replay::run(&arguments),
         Command::Import(arguments) => import::run(&arguments),
+        Command::New(arguments) => new::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
         Command::Delays(arguments) => delays::run(&arguments),
         Command::Graph(arguments) => graph::run(&arguments),

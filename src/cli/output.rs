@@ -44,6 +44,18 @@ pub(crate) fn table(header: &[&str], rows: &[Vec<String>]) {
     }
 }
 
+/// A number with five significant digits.
+pub(crate) fn number(value: f64) -> String {
+    let digits = 4.0 - value.abs().log10().floor();
+    if value == 0.0 {
+        "0".into()
+    } else if (0.0..=9.0).contains(&digits) {
+        format!("{value:.0$}", digits as usize)
+    } else {
+        format!("{value:.4e}")
+    }
+}
+
 /// Seconds with a unit that fits.
 pub(crate) fn seconds(value: f64) -> String {
     match value.abs() {

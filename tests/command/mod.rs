@@ -43,3 +43,17 @@ pub(crate) fn fail(folder: impl AsRef<Path>, arguments: &[&str], code: i32, expe
         assert!(errors.contains(part), "{arguments:?}: no `{part}` in: {errors}");
     }
 }
+
+/// Noise of standard deviation 1 that is the same on every run: a linear congruential generator (Knuth's MMIX), of which
+/// twelve numbers make a normal one.
+pub(crate) struct Noise(pub(crate) u64);
+
+impl Noise {
+    pub(crate) fn draw(&mut self) -> f64 {
+        let mut uniform = || {
+            self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (self.0 >> 11) as f64 / (1_u64 << 53) as f64
+        };
+        (0..12).map(|_| uniform()).sum::<f64>() - 6.0
+    }
+}

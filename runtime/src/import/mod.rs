@@ -1,4 +1,5 @@
-//! Logs that others wrote: a folder with a `recording.toml` and CSV files. Also reads a `system.toml` from disk.
+//! Logs that others wrote: a folder with a `recording.toml` and CSV files, and, through [`foreign`], whatever their programs
+//! write. Also reads a `system.toml` from disk.
 //!
 //! ```no_run
 //! use std::path::Path;
@@ -10,6 +11,7 @@
 //! ```
 
 mod error;
+pub mod foreign;
 mod manifest;
 mod seconds;
 mod table;

@@ -14,6 +14,11 @@ pub(super) enum NotATime {
 /// Nanoseconds of a decimal number of seconds such as `12.5`, `-0.001` or `5.8e-06`, rounded to the nearest,
 /// halves away from zero.
 pub(super) fn nanoseconds(text: &str) -> Result<i64, NotATime> {
+    scaled(text, 9)
+}
+
+/// The whole number nearest to a decimal number times ten to the `power`, which is 9 at most.
+pub(super) fn scaled(text: &str, power: i32) -> Result<i64, NotATime> {
     let (negative, rest) = match text.as_bytes() {
         [b'-', ..] => (true, &text[1..]),
         [b'+', ..] => (false, &text[1..]),
@@ -24,7 +29,7 @@ pub(super) fn nanoseconds(text: &str) -> Result<i64, NotATime> {
         None => (rest, 0),
     };
     let mut mantissa: i128 = 0;
-    let mut scale = exponent.clamp(-1_000_000, 1_000_000) + 9;
+    let mut scale = exponent.clamp(-1_000_000, 1_000_000) + power;
     let (mut seen, mut fraction) = (0, false);
     for byte in digits.bytes() {
         match byte {

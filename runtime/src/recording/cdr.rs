@@ -144,10 +144,24 @@ impl<'a> CdrReader<'a> {
         Ok(&self.bytes[start..end])
     }
 
-    fn eight(&mut self) -> Result<[u8; 8], CdrError> {
-        let mut value = [0; 8];
-        value.copy_from_slice(self.take(8, 8)?);
+    /// The bytes of a number of `N` bytes.
+    ///
+    /// # Errors
+    ///
+    /// [`CdrError::Short`].
+    pub fn number<const N: usize>(&mut self) -> Result<[u8; N], CdrError> {
+        let mut value = [0; N];
+        value.copy_from_slice(self.take(N, N)?);
         Ok(value)
+    }
+
+    /// Goes on after so many bytes.
+    ///
+    /// # Errors
+    ///
+    /// [`CdrError::Short`].
+    pub fn skip(&mut self, length: usize) -> Result<(), CdrError> {
+        self.take(length, 1).map(|_| ())
     }
 
     /// A `float64`.
@@ -156,7 +170,7 @@ impl<'a> CdrReader<'a> {
     ///
     /// [`CdrError::Short`], as for all that follow.
     pub fn f64(&mut self) -> Result<f64, CdrError> {
-        self.eight().map(f64::from_le_bytes)
+        self.number().map(f64::from_le_bytes)
     }
 
     /// A `uint64`.
@@ -165,7 +179,7 @@ impl<'a> CdrReader<'a> {
     ///
     /// [`CdrError::Short`].
     pub fn u64(&mut self) -> Result<u64, CdrError> {
-        self.eight().map(u64::from_le_bytes)
+        self.number().map(u64::from_le_bytes)
     }
 
     /// An `int64`.
@@ -174,7 +188,7 @@ impl<'a> CdrReader<'a> {
     ///
     /// [`CdrError::Short`].
     pub fn i64(&mut self) -> Result<i64, CdrError> {
-        self.eight().map(i64::from_le_bytes)
+        self.number().map(i64::from_le_bytes)
     }
 
     /// A `uint32`.
@@ -183,9 +197,7 @@ impl<'a> CdrReader<'a> {
     ///
     /// [`CdrError::Short`].
     pub fn u32(&mut self) -> Result<u32, CdrError> {
-        let mut value = [0; 4];
-        value.copy_from_slice(self.take(4, 4)?);
-        Ok(u32::from_le_bytes(value))
+        self.number().map(u32::from_le_bytes)
     }
 
     /// A `bool`.
@@ -208,9 +220,7 @@ impl<'a> CdrReader<'a> {
     ///
     /// [`CdrError::Short`].
     pub fn length(&mut self, smallest: usize) -> Result<usize, CdrError> {
-        let mut value = [0; 4];
-        value.copy_from_slice(self.take(4, 4)?);
-        let length = u32::from_le_bytes(value) as usize;
+        let length = self.u32()? as usize;
         let wanted = length.saturating_mul(smallest);
         if wanted > self.bytes.len() - self.position {
             return Err(CdrError::Short { length: self.bytes.len() + 4, wanted });

@@ -117,7 +117,7 @@ fn seconds(value: f64) -> Option<Nanos> {
 
 impl Log {
     /// Adds a signal with those of the samples that it can have.
-    fn add(&mut self, mut signal: Signal, samples: impl Iterator<Item = (Option<Nanos>, f64)>) {
+    pub(crate) fn add(&mut self, mut signal: Signal, samples: impl Iterator<Item = (Option<Nanos>, f64)>) {
         let mut kept: Vec<(Nanos, f64)> = Vec::new();
         let (mut unusable, mut repeated) = (0_usize, 0_usize);
         for (stamp, value) in samples {

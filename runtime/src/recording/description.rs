@@ -10,7 +10,7 @@ use crate::node::Layout;
 use crate::time::Nanos;
 
 /// Name of the attachment that says what is in the file.
-pub(super) const DESCRIPTION: &str = "graph.json";
+pub(crate) const DESCRIPTION: &str = "graph.json";
 /// Version of what this writer writes; a reader refuses larger ones.
 pub(super) const FORMAT: u32 = 2;
 /// Version of recordings without data, which older readers read.

@@ -5,7 +5,7 @@
 
 mod access;
 pub mod cdr;
-mod container;
+pub(crate) mod container;
 mod convert;
 mod description;
 mod error;
@@ -25,6 +25,7 @@ use crate::time::Nanos;
 pub use crate::node::Consumed;
 pub use access::Access;
 pub use convert::IMPORTED_SIGNAL;
+pub(crate) use description::DESCRIPTION;
 pub use description::{Description, NodeDescription};
 pub use error::RecordingError;
 pub use writer::{RecordingWriter, write};

@@ -9,7 +9,7 @@ use mcap::records::{Record, op};
 use serde::de::DeserializeOwned;
 
 use super::cdr::{CdrError, CdrReader};
-use super::container::{Cut, Raw, Walk, parse};
+use super::container::{Cut, Packed, Raw, Walk, parse, unpack};
 use super::description::{DESCRIPTION, DescriptionFile, FORMAT};
 use super::error::RecordingError;
 use super::shape::Shape;
@@ -151,13 +151,12 @@ impl<'a> Reader<'a> {
             }
             Record::Message { header, data } => self.message(&header, &data),
             Record::Chunk { header, data } => {
-                if !header.compression.is_empty() {
-                    let (path, compression) = (self.path.into(), header.compression);
-                    return Err(RecordingError::Compressed { path, at: raw.at, compression });
-                }
-                if header.uncompressed_crc != 0 && crc32fast::hash(&data) != header.uncompressed_crc {
-                    return Err(self.damaged(raw.at, "the checksum of the chunk is wrong"));
-                }
+                let data = unpack(&header, &data).map_err(|error| match error {
+                    Packed::Unknown(compression) => {
+                        RecordingError::Compressed { path: self.path.into(), at: raw.at, compression }
+                    }
+                    Packed::Broken(reason) => self.damaged(raw.at, reason),
+                })?;
                 for inner in Walk::new(&data, raw.at) {
                     match inner {
                         Ok(inner) if inner.opcode == op::CHUNK => {

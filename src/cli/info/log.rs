@@ -5,7 +5,7 @@ use parallax_runtime::time::to_seconds;
 use serde_json::{Value, json};
 
 use crate::cli::failure::Failure;
-use crate::cli::output;
+use crate::cli::output::{self, number};
 
 pub(super) fn show(log: &Log, as_json: bool) -> Result<(), Failure> {
     if as_json {
@@ -30,18 +30,6 @@ pub(super) fn show(log: &Log, as_json: bool) -> Result<(), Failure> {
 
 fn duration(log: &Log) -> f64 {
     log.span().map_or(0.0, |(first, last)| to_seconds(last - first))
-}
-
-/// A number with five significant digits.
-fn number(value: f64) -> String {
-    let digits = 4.0 - value.abs().log10().floor();
-    if value == 0.0 {
-        "0".into()
-    } else if (0.0..=9.0).contains(&digits) {
-        format!("{value:.0$}", digits as usize)
-    } else {
-        format!("{value:.4e}")
-    }
 }
 
 /// The signals as a table, and the notes.
