@@ -5,6 +5,7 @@ use std::sync::atomic::Ordering;
 
 use anyhow::{Context, anyhow};
 use clap::Args;
+use indicatif::ProgressBar;
 use parallax_gap::bind::bind_all;
 use parallax_gap::closed_loop;
 use parallax_gap::diagnosis::{Diagnosis, DiagnosisError, Options, diagnose_all};
@@ -84,7 +85,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         explain: arguments.explain.clone(),
         stop: Some(signals.flag()),
     };
-    let report = loaded.diagnose(&options, task.as_ref(), &arguments.out)?;
+    let bar = output::progress("diagnosing", WHOLE);
+    let report = loaded.diagnose(&options, task.as_ref(), &arguments.out, &bar)?;
     if arguments.json {
         output::json(&report)?;
     } else {
@@ -194,12 +196,13 @@ impl Loaded {
     }
 
     /// Diagnoses, scores the task in closed loop where there is one, and leaves report.json, report.html, report.svg and
-    /// system.corrected.toml in `out`.
+    /// system.corrected.toml in `out`. How far it is goes to `bar`, as parts of [`WHOLE`].
     pub(crate) fn diagnose(
         &self,
         options: &Options,
         task: Option<&Task>,
         out: &Path,
+        bar: &ProgressBar,
     ) -> Result<Report, Failure> {
         let registry = crate::cli::python::registry();
         let graph = self.graph.as_ref().map(|recording| (recording, &registry));
@@ -210,13 +213,12 @@ impl Loaded {
         std::fs::create_dir_all(out)
             .with_context(|| format!("the folder {} cannot be made", out.display()))
             .map_err(Failure::input)?;
-        let bar = output::progress("diagnosing", 1000);
         let watch = |done: f64, what: &str| {
             tracing::info!("{:.0} % done: {what}", 100.0 * done);
-            bar.set_position((done * 1000.0) as u64);
+            bar.set_position((done * WHOLE as f64) as u64);
             let stopping = options.stop.as_ref().is_some_and(|stop| stop.load(Ordering::Relaxed));
             let what = if stopping { "stopping; Ctrl-C again ends at once" } else { what };
-            bar.set_message(format!("diagnosing: {what}"));
+            bar.set_message(what.to_owned());
         };
         let found = diagnose_all(&self.system, &self.logs, options, &watch);
         let mut diagnosis = found.map_err(|error| match error {
@@ -281,6 +283,9 @@ impl Loaded {
         Ok(report)
     }
 }
+
+/// How far a diagnosis is, at its end, on the bar that shows it.
+pub(crate) const WHOLE: u64 = 1000;
 
 /// The nominal file with what was found.
 const CORRECTED: &str = "system.corrected.toml";

@@ -1,6 +1,8 @@
 //! `parallax demo`: a machine with a hidden flaw is run, recorded, replayed and diagnosed.
 
-use std::path::PathBuf;
+mod screen;
+
+use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use clap::Args;
@@ -19,6 +21,7 @@ use super::args::{duration, make_parent};
 use super::diagnose::{self, Loaded};
 use super::failure::{Failure, Outcome, Sort};
 use super::{output, run};
+use screen::Screen;
 
 #[derive(Args)]
 pub(crate) struct Arguments {
@@ -37,6 +40,7 @@ pub(crate) struct Arguments {
 }
 
 pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
+    let screen = Screen::new(arguments.json);
     let say = |text: String| {
         if !arguments.json {
             output::line(text);
@@ -47,13 +51,14 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     make_parent(&path)?;
 
     let spec = pendulum::graph();
-    let names: Vec<&str> = spec.nodes.iter().map(|node| node.name.as_str()).collect();
-    say(format!(
-        "1. Running {} as processes for {} s. The world hides a flaw, or none (seed {seed}).",
-        names.join(", "),
-        to_seconds(arguments.duration)
-    ));
-    let bar = run::bar(&spec.name, Some(arguments.duration));
+    screen.begin(
+        RUN,
+        &format!(
+            "{} processes for {} s; the world hides a flaw, or none (seed {seed}).",
+            spec.nodes.len(),
+            to_seconds(arguments.duration)
+        ),
+    );
     let secret = [(hidden::SEED_VARIABLE.to_owned(), seed.to_string())];
     let options = RunOptions {
         duration: Some(arguments.duration),
@@ -62,56 +67,64 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         recording: Some(path.clone()),
         // Only the world's process is told: neither the recording nor the diagnosis can know.
         private: [("world".to_owned(), secret.into())].into(),
-        progress: Some(run::watch(&bar)),
+        progress: Some(screen.watch(RUN, arguments.duration)),
         ..RunOptions::default()
     };
     let report = launch::run(&spec, &crate::cli::python::registry(), options).map_err(run::sort)?;
-    bar.finish_and_clear();
     let outcome = run::ended(&report)?;
     if outcome != Outcome::Done {
         return Ok(outcome);
     }
     let steps: u64 = report.nodes.iter().map(|node| node.steps).sum();
-    say(format!("   {steps} steps, recorded to {}", path.display()));
+    screen.done(RUN, &format!("{steps} steps, recorded to {}", path.display()));
 
+    screen.begin(REPLAY, "Running every node again on the messages that it consumed.");
     let recording = Recording::read(&path).runtime()?;
     let replayed =
         replay(&recording, &crate::cli::python::registry(), &ReplayOptions::default()).runtime()?;
-    say(format!(
-        "2. Replayed: {} steps on the {} messages that they consumed; {}.",
-        replayed.steps(),
-        replayed.consumed(),
-        match replayed.first_difference() {
-            _ if replayed.is_exact() => "all outputs are the same bits".into(),
-            Some(difference) => format!("not the same: {difference}"),
-            None => "the same bits, but not the same schedule".into(),
-        }
-    ));
+    screen.done(
+        REPLAY,
+        &format!(
+            "{} steps on {} messages; {}.",
+            replayed.steps(),
+            replayed.consumed(),
+            match replayed.first_difference() {
+                _ if replayed.is_exact() => "all outputs are the same bits".into(),
+                Some(difference) => format!("not the same: {difference}"),
+                None => "the same bits, but not the same schedule".into(),
+            }
+        ),
+    );
 
-    say("3. Diagnosing from the recording alone.".into());
+    screen.begin(DIAGNOSE, "Looking for the cause of the gap, in the recording alone.");
     let found = Loaded::read(std::slice::from_ref(&path), None, (None, None))?.diagnose(
         &Options::default(),
         None,
         &arguments.out,
+        &screen.bar(DIAGNOSE, diagnose::WHOLE),
     )?;
-    if !arguments.json {
-        output::line("");
-        diagnose::print(&found);
-        output::line("");
-    }
+    screen.done(DIAGNOSE, &format!("{} hypotheses weighed.", found.which.len()));
 
     let effect = hidden::HiddenEffect::draw(seed);
+    screen.begin(COMPARE, "Running the world again, and asking it what it hid.");
     let world_exact = world_repeats(&recording, effect)?;
     let truth = effect.truth();
     let truth_name = truth.as_ref().map(|truth| format!("{}@{}", truth.effect, truth.place));
     let right = is_right(&found, truth_name.as_deref());
     let truth = truth.map_or_else(|| "nothing".to_owned(), |truth| truth.to_string());
-    say(format!("4. Hidden was {truth}: the diagnosis is {}.", if right { "right" } else { "wrong" }));
+    screen.done(
+        COMPARE,
+        &format!("Hidden was {truth}: the diagnosis is {}.", if right { "right" } else { "wrong" }),
+    );
+    if !arguments.json {
+        output::line("");
+        diagnose::print(&found);
+    }
     say(format!(
-        "   The world, run again with what it hid, gives {}.",
+        "\nThe world, run again with what it hid, gives {}.",
         if world_exact { "the same bits" } else { "other readings than it gave" }
     ));
-    say(format!("   The report is {}", arguments.out.join("report.html").display()));
+    say(next(&arguments.out, &path));
     if arguments.json {
         output::json(&json!({
             "seed": seed, "steps": steps, "replay_exact": replayed.is_exact(), "world_exact": world_exact,
@@ -119,6 +132,23 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         }))?;
     }
     Ok(if replayed.is_exact() && world_exact { Outcome::Done } else { Outcome::Negative })
+}
+
+/// The stages of the [`Screen`].
+const RUN: usize = 0;
+const REPLAY: usize = 1;
+const DIAGNOSE: usize = 2;
+const COMPARE: usize = 3;
+
+/// Where the report is, and how to go on, in commands that work where this one did.
+fn next(out: &Path, recording: &Path) -> String {
+    let program = std::env::args().next().unwrap_or_else(|| "parallax".into());
+    let (out, recording) = (out.display(), recording.display());
+    format!(
+        "The report is {out}/report.html\n\nNext:\n  {program} info {recording}      # what was recorded\n  \
+         {program} diagnose {recording} --explain delay --out {out}      # why did a cause lose?\n  \
+         {program} import YOUR_LOG.csv      # a machine of your own"
+    )
 }
 
 /// Runs the world again, which a replay otherwise takes for hardware, with the effect that it hid.
