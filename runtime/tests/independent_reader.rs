@@ -19,18 +19,19 @@ use serde_json::{Value, json};
 
 /// What the script prints about a recording.
 fn read_with_python(recording: &Path) -> Value {
+    read_with("read_recording.py", recording)
+}
+
+fn read_with(script: &str, recording: &Path) -> Value {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
     let python: PathBuf = root.join(".venv/bin/python");
     assert!(
         python.exists(),
-        "{} does not exist. `make test` creates it, with the packages mcap and mcap-ros2-support",
+        "{} does not exist. `make test` creates it, with the packages of tests/requirements.txt",
         python.display()
     );
-    let output = Command::new(python)
-        .arg(root.join("tests/python/read_recording.py"))
-        .arg(recording)
-        .output()
-        .unwrap();
+    let output =
+        Command::new(python).arg(root.join("tests/python").join(script)).arg(recording).output().unwrap();
     let errors = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{errors}\nIf a package is missing: `make test` installs it");
     serde_json::from_slice(&output.stdout).unwrap()
@@ -171,6 +172,32 @@ fn python_reads_every_message() {
     }
     assert_eq!(read["counted"], counted + 3);
     assert_eq!(read["attachments"]["graph.json"]["graph"], serde_json::to_value(&recording.graph).unwrap());
+}
+
+#[test]
+fn rosbags_reads_every_message() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("shapes.mcap");
+    let recording = recording();
+    write(&path, &recording).unwrap();
+    let read = read_with("read_with_rosbags.py", &path);
+    for track in &recording.nodes {
+        let fields = field_names(&track.layout.leaves);
+        let messages = read[format!("/{}", track.name)]["messages"].as_array().unwrap();
+        assert_eq!(messages.len(), track.messages.len());
+        for (read, written) in messages.iter().zip(&track.messages) {
+            assert_eq!(read[0], written.sent);
+            for (field, value) in fields.iter().zip(&written.payload) {
+                assert_eq!(read[1][field], bits(*value), "{field} of {}", track.name);
+            }
+            if track.name == "node_0" {
+                assert_eq!(read[1]["data"], json!(&*written.data));
+            }
+        }
+        let steps = read[format!("/{}/steps", track.name)]["messages"].as_array().unwrap();
+        assert_eq!(steps.len(), track.steps.len());
+        assert!(steps.iter().zip(&track.steps).all(|(read, written)| read[1]["due"] == written.due));
+    }
 }
 
 /// A step as the script prints it.
