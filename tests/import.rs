@@ -5,13 +5,9 @@
 mod command;
 
 use std::fmt::Write as _;
-use std::fs::{self, File};
-use std::io::{Read, Write};
-use std::path::Path;
-use std::process::{Command, Stdio};
+use std::fs;
 
-use command::{Noise, ends, fail, json, succeed};
-use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use command::{Noise, ends, fail, json, on_a_terminal, succeed};
 use tempfile::TempDir;
 
 /// A mass on a rail: a force in N, a position in mm, times in ms, numbers as a German spreadsheet writes them.
@@ -118,30 +114,6 @@ fn what_is_asked_of_import_and_cannot_be() {
     wrong(&["--yes", "--time", "clock"], &["no time `clock`", "Zeit [ms]"]);
     fail(&folder, &["import", "nowhere.csv", "--yes"], 2, &["nowhere.csv does not exist"]);
     fail(&folder, &["import", "bench_log", "bench.csv", "--yes"], 2, &["bench_log does not exist"]);
-}
-
-/// Answers questions on a terminal of its own; gives what was shown.
-fn on_a_terminal(folder: &Path, arguments: &[&str], answers: &str) -> (bool, String) {
-    let mut master = File::from(openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap());
-    grantpt(&master).unwrap();
-    unlockpt(&master).unwrap();
-    let name = ptsname(&master, Vec::new()).unwrap();
-    let flags = rustix::fs::OFlags::RDWR | rustix::fs::OFlags::NOCTTY;
-    let slave = rustix::fs::open(name, flags, rustix::fs::Mode::empty()).unwrap();
-    let end = || Stdio::from(slave.try_clone().unwrap());
-    let mut command = Command::new(env!("CARGO_BIN_EXE_parallax"));
-    command.current_dir(folder).args(arguments).stdin(end()).stdout(end()).stderr(end()).env("TERM", "xterm");
-    let mut child = command.spawn().unwrap();
-    drop(command);
-    drop(slave);
-    master.write_all(answers.as_bytes()).unwrap();
-    let mut shown = Vec::new();
-    let mut bytes = [0; 4096];
-    // It ends when the last end of the terminal is closed.
-    while let Ok(count @ 1..) = master.read(&mut bytes) {
-        shown.extend_from_slice(&bytes[..count]);
-    }
-    (child.wait().unwrap().success(), String::from_utf8_lossy(&shown).into_owned())
 }
 
 #[test]

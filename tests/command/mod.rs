@@ -2,9 +2,13 @@
 
 #![allow(dead_code, reason = "no test file needs all of it")]
 
+use std::fs::File;
+use std::io::{Read, Write};
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use rustix::termios::{Winsize, tcsetwinsize};
 use serde_json::Value;
 
 /// Runs the program in `folder`.
@@ -56,4 +60,29 @@ impl Noise {
         };
         (0..12).map(|_| uniform()).sum::<f64>() - 6.0
     }
+}
+
+/// Answers questions on a terminal of its own; gives what was shown.
+pub(crate) fn on_a_terminal(folder: &Path, arguments: &[&str], answers: &str) -> (bool, String) {
+    let mut master = File::from(openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap());
+    grantpt(&master).unwrap();
+    unlockpt(&master).unwrap();
+    let name = ptsname(&master, Vec::new()).unwrap();
+    let flags = rustix::fs::OFlags::RDWR | rustix::fs::OFlags::NOCTTY;
+    let slave = rustix::fs::open(name, flags, rustix::fs::Mode::empty()).unwrap();
+    tcsetwinsize(&slave, Winsize { ws_row: 40, ws_col: 100, ws_xpixel: 0, ws_ypixel: 0 }).unwrap();
+    let end = || Stdio::from(slave.try_clone().unwrap());
+    let mut command = Command::new(env!("CARGO_BIN_EXE_parallax"));
+    command.current_dir(folder).args(arguments).stdin(end()).stdout(end()).stderr(end()).env("TERM", "xterm");
+    let mut child = command.spawn().unwrap();
+    drop(command);
+    drop(slave);
+    master.write_all(answers.as_bytes()).unwrap();
+    let mut shown = Vec::new();
+    let mut bytes = [0; 4096];
+    // It ends when the last end of the terminal is closed.
+    while let Ok(count @ 1..) = master.read(&mut bytes) {
+        shown.extend_from_slice(&bytes[..count]);
+    }
+    (child.wait().unwrap().success(), String::from_utf8_lossy(&shown).into_owned())
 }

@@ -145,9 +145,9 @@ fn next(out: &Path, recording: &Path) -> String {
     let program = std::env::args().next().unwrap_or_else(|| "parallax".into());
     let (out, recording) = (out.display(), recording.display());
     format!(
-        "The report is {out}/report.html\n\nNext:\n  {program} info {recording}      # what was recorded\n  \
-         {program} diagnose {recording} --explain delay --out {out}      # why did a cause lose?\n  \
-         {program} import YOUR_LOG.csv      # a machine of your own"
+        "The report is {out}/report.html\n\nNext, to see what was recorded, why another cause lost, and a machine of your own:\n  \
+         {program} info {recording}\n  {program} diagnose {recording} --explain delay --out {out}\n  \
+         {program} import YOUR_LOG.csv"
     )
 }
 

@@ -87,7 +87,7 @@ impl Screen {
         match self {
             Self::Drawn(stages) => {
                 let now = &stages[stage].now;
-                now.set_style(style("    [{bar:24}] {wide_msg:.dim}").progress_chars("=> "));
+                now.set_style(style("    [{bar:12}] {wide_msg:.dim}").progress_chars("=> "));
                 now.set_length(total);
                 now.clone()
             }
