@@ -182,6 +182,22 @@ fn a_log_without_times_has_a_rate_or_an_error() {
 }
 
 #[test]
+fn cells_may_be_lists() {
+    // As loggers of arms write them; times are microseconds, which nothing says.
+    let found = found(
+        "type,timestamp,positions,velocities\nSTATE,4.898,\"[-0.0084, 0.5714]\",\"[0.0, 1.0]\"\n\
+         STATE,20084.474,\"[-0.0094, 0.5724]\",[]\nSTATE,40142.218,\"[-0.0104, 0.5734]\",\"[2.0, 3.0]\"\n",
+    )
+    .unwrap();
+    let names: Vec<_> = found.series().map(|(_, series)| series.name.as_str()).collect();
+    assert_eq!(names, ["positions_0", "positions_1", "velocities_0", "velocities_1"]);
+    let plan = Plan { time_unit: Some(TimeUnit::Us), ..all(&found) };
+    let converted = converted(&found, &plan).unwrap();
+    assert_eq!(signal(&converted, "positions_1").values, [0.5714, 0.5724, 0.5734]);
+    assert_eq!(seconds(signal(&converted, "velocities_0")), [4.898e-6, 0.040142218]);
+}
+
+#[test]
 fn stamps_that_repeat_or_go_back_are_counted() {
     let found = found("t [ms],x\n0,1\n1,2\n1,3\n3,5\n2,4\n4,6\n").unwrap();
     let run = found.groups[0].clocks[0].run(&Plan::default()).unwrap();

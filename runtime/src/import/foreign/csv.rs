@@ -86,11 +86,61 @@ struct Growing {
     name: String,
     unit: String,
     time: bool,
+    /// Whether its cells are lists, such as `[0.1, 0.2]`; the elements are then in `lists`.
+    list: bool,
+    lists: Vec<Vec<f64>>,
     numbers: Vec<f64>,
     texts: Vec<Box<str>>,
     /// Cells that are no numbers: how many, and the first.
     strange: usize,
     first_strange: Option<(u64, String)>,
+}
+
+/// Lists of more elements are no signals.
+const LONGEST: usize = 64;
+
+impl Growing {
+    /// Takes a cell of a column of lists.
+    fn list(&mut self, rows: usize, line: u64, cell: &str, missing: bool) {
+        let inside = cell.trim_matches(['[', ']', '(', ')']);
+        let numbers: Option<Vec<f64>> = inside
+            .split(|c: char| c == ',' || c == ';' || c.is_whitespace())
+            .filter(|part| !part.is_empty())
+            .map(|part| if is_missing(part, &[]) { Some(f64::NAN) } else { number(part, false) })
+            .collect();
+        match numbers.filter(|numbers| numbers.len() <= LONGEST) {
+            Some(numbers) => {
+                for (element, value) in numbers.into_iter().enumerate() {
+                    if self.lists.len() <= element {
+                        self.lists.push(Vec::new());
+                    }
+                    self.lists[element].resize(rows - 1, f64::NAN);
+                    self.lists[element].push(value);
+                }
+            }
+            None if missing => {}
+            None => {
+                self.strange += 1;
+                self.first_strange.get_or_insert_with(|| (line, cell.chars().take(40).collect()));
+            }
+        }
+    }
+
+    /// A column of lists as a column for each element.
+    fn elements(self, header: &str, rows: usize) -> Vec<Column> {
+        let elements = self.lists.into_iter().enumerate();
+        elements
+            .map(|(element, mut values)| {
+                values.resize(rows, f64::NAN);
+                Column {
+                    header: format!("{header}[{element}]"),
+                    name: format!("{}[{element}]", self.name),
+                    unit: self.unit.clone(),
+                    cells: Cells::Numbers(values),
+                }
+            })
+            .collect()
+    }
 }
 
 impl<'a> Table<'a> {
@@ -101,6 +151,8 @@ impl<'a> Table<'a> {
                 name,
                 unit,
                 time: false,
+                list: false,
+                lists: vec![],
                 numbers: vec![],
                 texts: vec![],
                 strange: 0,
@@ -124,11 +176,16 @@ impl<'a> Table<'a> {
             self.started = true;
             for (column, cell) in self.columns.iter_mut().zip(&cells) {
                 column.time = may_be_time(&column.name, cell);
+                column.list = dialect::is_list(cell);
             }
         }
         self.rows += 1;
         for (column, cell) in self.columns.iter_mut().zip(cells) {
             let missing = is_missing(cell, &self.known.missing);
+            if column.list {
+                column.list(self.rows, line, cell, missing);
+                continue;
+            }
             if column.time {
                 let comma = self.written.decimal_comma && number(cell, true).is_some();
                 let text = match (missing, comma) {
@@ -159,6 +216,13 @@ impl<'a> Table<'a> {
         for (column, header) in self.columns.into_iter().zip(&self.written.names) {
             let cells = if column.time {
                 Cells::Texts(column.texts)
+            } else if column.list {
+                if let Some((line, text)) = &column.first_strange {
+                    notes.push(format!("column `{header}` holds lists that are too long, or no numbers: `{text}` in line {line}"));
+                } else {
+                    columns.extend(column.elements(header, self.rows));
+                }
+                continue;
             } else {
                 let known = column.numbers.iter().filter(|number| !number.is_nan()).count();
                 if let Some((line, text)) = column.first_strange {

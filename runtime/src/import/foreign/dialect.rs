@@ -57,6 +57,11 @@ pub(super) fn is_missing(cell: &str, extra: &[String]) -> bool {
     MISSING.iter().any(|missing| cell.eq_ignore_ascii_case(missing)) || extra.iter().any(|text| text == cell)
 }
 
+/// Whether a cell is a list, as tables of arms and of data frames have them.
+pub(super) fn is_list(cell: &str) -> bool {
+    cell.starts_with('[') && cell.ends_with(']')
+}
+
 /// The number in a cell.
 pub(super) fn number(cell: &str, decimal_comma: bool) -> Option<f64> {
     let number = if decimal_comma && cell.contains(',') {
@@ -179,7 +184,14 @@ pub(super) fn find(text: &str, known: &Dialect) -> Option<Written> {
     let named = names.is_some();
     let names = names.map_or_else(
         || (1..=width).map(|number| format!("column_{number}")).collect(),
-        |names| names.into_iter().map(str::to_owned).collect(),
+        // The column of a data frame's index has no name.
+        |names| {
+            let name = |(index, name): (usize, &str)| match name {
+                "" => format!("column_{}", index + 1),
+                name => name.to_owned(),
+            };
+            names.into_iter().enumerate().map(name).collect()
+        },
     );
     let offset = text.split_inclusive('\n').take(first).map(str::len).sum();
     Some(Written { delimiter, decimal_comma, names, units, named, first_line: first + 1, offset })
@@ -217,7 +229,7 @@ fn score(lines: &[&str], delimiter: char, decimal_comma: bool, known: &Dialect) 
         all += 1;
         let is_number = number(cell, decimal_comma).is_some();
         numbers += usize::from(is_number);
-        good += usize::from(is_number || is_missing(cell, &known.missing) || is_date(cell));
+        good += usize::from(is_number || is_missing(cell, &known.missing) || is_date(cell) || is_list(cell));
     }
     // A delimiter at the end of every line is no column.
     let empty_end = rows.iter().all(|row| row.last().is_some_and(|cell| cell.is_empty()));

@@ -94,6 +94,9 @@ const MEASURED: [&str; 24] = [
     "level",
     "observation",
 ];
+/// What drives a machine, where nothing says that it was measured.
+const DRIVING: [&str; 9] =
+    ["torque", "torques", "tau", "effort", "force", "voltage", "current", "power", "motor"];
 /// What is said of nothing but a reading.
 const PROVED: [&str; 7] = ["measured", "meas", "actual", "ist", "feedback", "fb", "observation"];
 /// What is written beside signals and is none.
@@ -135,8 +138,15 @@ pub(super) fn roles(found: &mut Found) {
             series.role = Some(Role::Command);
         }
         // What an amplifier gives, where nothing says that it was measured.
-        let given = matches!(series.unit.as_str(), "V" | "A" | "N m" | "N" | "mA" | "mV" | "%");
-        if drives && given && series.role == Some(Role::Measurement) && !has_word(&series.column, &MEASURED) {
+        let given = matches!(series.unit.as_str(), "V" | "A" | "N m" | "N" | "mA" | "mV" | "%")
+            || (series.unit.is_empty() && has_word(&series.column, &DRIVING));
+        let proved = words(&series.name).iter().any(|word| PROVED.contains(&word.as_str()));
+        if drives
+            && given
+            && !proved
+            && series.role == Some(Role::Measurement)
+            && !has_word(&series.column, &MEASURED)
+        {
             series.role = Some(Role::Command);
         }
     }
@@ -252,6 +262,7 @@ mod tests {
             some(&[Command, Measurement, Reference, Context])
         );
         assert_eq!(of(&[("goal", ""), ("position", "")]), some(&[Command, Measurement]));
+        assert_eq!(of(&[("position", ""), ("torque", "")]), some(&[Measurement, Command]));
         assert_eq!(of(&[("voltage", "V"), ("angle", "rad")]), some(&[Command, Measurement]));
         assert_eq!(of(&[("tau_cmd", "N m"), ("tau_meas", "N m")]), some(&[Command, Measurement]));
         assert_eq!(of(&[("frame_index", ""), ("x", "m")]), [None, Some(Measurement)]);
