@@ -13,6 +13,7 @@ use parallax_runtime::import::foreign::{
     write_folder,
 };
 use parallax_runtime::recording::log::{Role, Signal};
+use proptest::prelude::*;
 use tempfile::TempDir;
 
 fn found(text: impl AsRef<[u8]>) -> Result<Found, String> {
@@ -378,4 +379,26 @@ fn a_bag_without_messages_in_mcap_says_what_to_do() {
     assert!(open().contains("holds no MCAP file"));
     fs::write(place.path().join("bag_0.db3"), b"SQLite format 3\0").unwrap();
     assert!(open().contains("rosbags-convert"));
+}
+
+proptest! {
+    #[test]
+    fn any_text_is_a_log_or_an_error(text in "[0-9.,;: \\t\\n\"\\[\\]eETZ#%a()/+-]{0,300}|(t|time_us|x \\[m\\])(,[a-z]{1,3}){1,3}\n([0-9.,\\[\\]\"-]{0,12}\n){0,30}") {
+        if let Ok(found) = found(&text) {
+            for plan in [all(&found), Plan { rate: Some(10.0), spread: true, ..all(&found) }, Plan { time_unit: Some(TimeUnit::S), ..all(&found) }] {
+                if let Ok(converted) = converted(&found, &plan) {
+                    let place = tempfile::tempdir().unwrap();
+                    // What was converted can be written, and reads as it was meant.
+                    write_folder(&place.path().join("log"), &converted).unwrap();
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn any_bytes_are_a_log_or_an_error(mut bytes in prop::collection::vec(any::<u8>(), 0..200), kind in 0..4_usize) {
+        let heads: [&[u8]; 4] = [mcap::MAGIC, b"PAR1", b"\xff\xfe", b"t,x\n"];
+        bytes.splice(0..0, heads[kind].iter().copied());
+        let _ = found(&bytes);
+    }
 }
