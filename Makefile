@@ -17,23 +17,24 @@ format:
 	cargo fmt --all --check
 
 lint:
-	cargo clippy --workspace --all-targets -- -D warnings
+	cargo clippy --workspace --all-targets --features link -- -D warnings
+	cargo clippy -p parallax-runtime -- -D warnings
 
 unit: $(VENV)/ready
-	cargo test --workspace
+	cargo test --workspace --features link
 
 docs:
 	RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps
 
-# The package as `pip` builds it, but in the tests' profile: what cargo has built for them is not built again.
+# The package as `pip` builds it, but in the tests' profile and with their features: what cargo has built for them is not built again.
 package: $(VENV)/ready
-	MATURIN_PEP517_ARGS="--profile dev --strip" $(BIN)/pip install --quiet --disable-pip-version-check "./bindings[test]"
+	MATURIN_PEP517_ARGS="--profile dev --strip --features link" $(BIN)/pip install --quiet --disable-pip-version-check "./bindings[test]"
 
 python: package
 	$(BIN)/ruff check tests bindings benches runtime
 	$(BIN)/ruff format --check tests bindings benches runtime
 	$(BIN)/mypy --config-file bindings/pyproject.toml bindings/python/parallax
-	cargo build
+	cargo build --features link
 	$(BIN)/python -m pytest bindings/tests
 
 # Its own profile: unoptimised it is built in a third of the time, and checks in three seconds.

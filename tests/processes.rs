@@ -110,3 +110,72 @@ fn a_node_process_is_not_for_people() {
     assert!(!output.status.success());
     assert!(text(&output).contains("started by the launcher only"), "{}", text(&output));
 }
+
+fn succeeds(arguments: &[&str]) -> String {
+    let output = parallax(arguments).wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", text(&output));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+#[test]
+fn outputs_that_were_replaced_are_replayed_as_what_was_sent() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    let out = path.to_str().unwrap();
+    // Nobody keeps this deadline.
+    let settings = ["agent.deadline=0.000000001", "agent.on_deadline=safe", "agent.safe={ voltage = 0.5 }"];
+    let settings = settings.iter().flat_map(|setting| ["--set", setting]);
+    let arguments: Vec<&str> =
+        ["run", "pendulum", "--duration", "1", "--out", out].into_iter().chain(settings).collect();
+    succeeds(&arguments);
+    let recording = Recording::read(&path).unwrap();
+    let agent = recording.node("agent").unwrap();
+    assert!(agent.messages.iter().all(|message| message.payload[0] == 0.5), "{:?}", agent.messages.first());
+    assert_eq!(recording.faults.len(), agent.steps.len());
+    let replay: Value = serde_json::from_str(&succeeds(&["replay", out, "--json"])).unwrap();
+    assert_eq!(replay["exact"], true, "{replay}");
+    assert!(succeeds(&["info", out]).contains("`agent` sent its safe output in place of"));
+}
+
+#[test]
+fn the_parts_of_a_rotated_recording_are_joined() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let first = place("run.mcap");
+    succeeds(&["run", "pendulum", "--duration", "3.5", "--rotate", "1s", "--out", &first]);
+    let parts: Vec<String> =
+        std::iter::once(first.clone()).chain((1..3).map(|part| place(&format!("run.{part}.mcap")))).collect();
+    let whole = place("whole.mcap");
+    let mut arguments = vec!["join"];
+    arguments.extend(parts.iter().map(String::as_str));
+    // The last one is there, too.
+    let last = place("run.3.mcap");
+    if Path::new(&last).exists() {
+        arguments.push(&last);
+    }
+    arguments.extend(["--out", &whole]);
+    succeeds(&arguments);
+    let replay: Value = serde_json::from_str(&succeeds(&["replay", &whole, "--json"])).unwrap();
+    assert_eq!(replay["exact"], true, "{replay}");
+    let recording = Recording::read(&whole).unwrap();
+    assert!(recording.nodes.iter().all(|track| track.steps.len() > 150), "not all parts are in it");
+    // Twice the same, another run, and a part as the whole.
+    let refused = |arguments: &[&str], expected: &str| {
+        let output = parallax(arguments).wait_with_output().unwrap();
+        assert_eq!(output.status.code(), Some(2), "{}", text(&output));
+        assert!(text(&output).contains(expected), "{}", text(&output));
+    };
+    refused(&["join", &first, &first, "--out", &whole], "it was given twice");
+    let other = place("other.mcap");
+    succeeds(&["sim", "pendulum", "--duration", "0.5", "--out", &other]);
+    refused(&["join", &first, &other, "--out", &whole], "is no part of the run");
+    refused(&["join", &first, &parts[1], "--out", &first], "would be written over");
+}
+
+#[test]
+fn a_group_without_a_recording_is_refused() {
+    let output =
+        parallax(&["run", "pendulum", "--duration", "1", "--group", "root"]).wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(2), "{}", text(&output));
+    assert!(text(&output).contains("--record or --out"), "{}", text(&output));
+}

@@ -142,3 +142,66 @@ def test_an_interpreter_that_is_missing_is_named(folder):
     done = start(folder, '{ class = "own:Plain" }', "--set", "agent.interpreter=/no/such/python")
     assert done.returncode == 2, done.stderr
     assert "/no/such/python cannot be started" in done.stderr
+
+
+@pytest.mark.parametrize("kind", ["Plain", "Jax"])
+def test_a_simulated_clock_steps_it_and_a_seed_gives_the_same_bits(folder, kind):
+    start(folder, f'{{ class = "own:{kind}" }}', duration=0.2)
+    recordings = [folder / f"{name}.mcap" for name in ("first", "second")]
+    for recording in recordings:
+        command = [_program(), "sim", folder / "graph.toml", "--duration", "2", "--seed", "3", "--out", recording]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+        assert done.returncode == 0, done.stdout + done.stderr
+    assert recordings[0].read_bytes() == recordings[1].read_bytes()
+    sent = px.load(recordings[0])["agent"].payload[:, 0]
+    speeds = seen(px.load(recordings[0]))
+    expected = speeds if kind == "Plain" else 0.01 * np.arange(len(sent)) + 0.5 * speeds
+    np.testing.assert_allclose(sent, expected, rtol=1e-5, atol=1e-6)
+    assert len(sent) > 50
+
+
+def test_what_fails_under_a_simulated_clock_is_told(folder):
+    start(folder, '{ class = "own:Plain", arguments = { at = 7 } }', duration=0.2)
+    command = [_program(), "sim", folder / "graph.toml", "--duration", "1"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert "the policy has no answer" in done.stdout + done.stderr, done.stdout + done.stderr
+
+
+TIMES = '''
+import os
+import time
+from pathlib import Path
+
+
+class Slow:
+    """Says where it runs, and is late at one step."""
+
+    def __init__(self, at):
+        self.at = at
+
+    def step(self, step):
+        Path("cores.txt").write_text(" ".join(map(str, sorted(os.sched_getaffinity(0)))))
+        if step.seq == self.at:
+            time.sleep(0.2)
+        return {"voltage": 1.0}
+'''
+
+
+def test_a_deadline_and_a_core_hold_for_a_node_in_python(folder):
+    (folder / "late.py").write_text(TIMES)
+    core = max(os.sched_getaffinity(0))
+    settings = [f"agent.core={core}", "agent.deadline=0.1", "agent.on_deadline=safe", "agent.safe={ voltage = 0.25 }"]
+    flags = [argument for setting in settings for argument in ("--set", setting)]
+    done = start(folder, '{ class = "late:Slow", arguments = { at = 20 } }', *flags, duration=2.0)
+    assert done.returncode == 0, done.stdout + done.stderr
+    agent = next(node for node in json.loads(done.stdout)["nodes"] if node["node"] == "agent")
+    assert agent["core"] == core
+    assert (folder / "cores.txt").read_text() == str(core)
+    assert agent["late"] >= 1, agent
+    assert agent["replaced"] >= 1, agent
+    sent = px.load(folder / "run.mcap")["agent"].payload[:, 0]
+    assert sent[20] == 0.25
+    assert np.count_nonzero(sent == 1.0) > 20
+    # The replay knows what was sent in its place.
+    replayed = subprocess.run([_program(), "replay", folder / "run.mcap"], capture_output=True, text=True, timeout=120)
+    assert replayed.returncode == 0, replayed.stdout + replayed.stderr

@@ -57,7 +57,12 @@ pub fn with_playback(registry: Registry) -> Registry {
 pub fn kind_like(other: &NodeKind) -> NodeKind {
     let (layout, initial) = (other.output().clone(), other.initial_message().to_vec());
     let start = initial.clone();
+    let has_data = other.data_capacity() > 0;
     let kind = NodeKind::erased(layout.clone(), initial, move |context| {
+        if has_data {
+            let problem = "the kind in whose place it stands sends data, such as images, and a command file holds numbers only";
+            return Err(NodeError::failed(format!("node `{}` cannot be played: {problem}", context.name)));
+        }
         Ok(Box::new(Playback::new(context, &layout, &start)?))
     });
     let inputs = other.inputs().iter().cloned();
@@ -82,6 +87,17 @@ pub enum PlaybackError {
         "node `{node}` is of the kind `{kind}`, for which the program knows no `{PREFIX}{kind}`; add it with playback::with_playback"
     )]
     Kind {
+        /// The node.
+        node: String,
+        /// Its kind.
+        kind: String,
+    },
+    /// The node sends data, such as images, and a command file holds numbers only.
+    #[error(
+        "node `{node}` sends data beside numbers (`{kind}`), such as images, and a command file holds numbers only; play a node \
+         that sends none"
+    )]
+    Data {
         /// The node.
         node: String,
         /// Its kind.
@@ -132,6 +148,9 @@ pub fn put(
     let Some(known) = registry.get(&kind) else {
         return Err(PlaybackError::Kind { node: node.into(), kind: spec.kind.clone() });
     };
+    if registry.get(kind.trim_start_matches(PREFIX)).is_some_and(|kind| kind.data_capacity() > 0) {
+        return Err(PlaybackError::Data { node: node.into(), kind: spec.kind.clone() });
+    }
     let leaves = leaves(file, node, known.output())?;
     spec.kind = kind;
     spec.parameters.clear();

@@ -67,6 +67,8 @@ fn a_graphs_leaves_become_signals() {
         losses: vec![],
         faults: vec![],
         changes: vec![],
+        hosts: Default::default(),
+        clocks: Vec::new(),
         truncated: None,
     };
     let log = recording.log();

@@ -114,6 +114,8 @@ fn recording() -> Recording {
                 new: -5e-324,
             },
         }],
+        hosts: Default::default(),
+        clocks: Vec::new(),
         truncated: None,
     }
 }

@@ -107,7 +107,18 @@ fn recording() -> impl Strategy<Value = Recording> {
                 connections: vec![],
                 plant: None,
             };
-            Recording { graph, clock, duration, nodes, losses, faults, changes, truncated: None }
+            Recording {
+                graph,
+                clock,
+                duration,
+                nodes,
+                losses,
+                faults,
+                changes,
+                hosts: Default::default(),
+                clocks: Vec::new(),
+                truncated: None,
+            }
         },
     )
 }
@@ -193,6 +204,8 @@ fn sample() -> Recording {
         losses: vec![],
         faults: vec![],
         changes: vec![],
+        hosts: Default::default(),
+        clocks: Vec::new(),
         truncated: None,
     }
 }

@@ -7,6 +7,7 @@ use parallax_model::system::Suggestion;
 use parallax_nodes::command_file::CommandFile;
 use parallax_nodes::{estimator, playback};
 use parallax_runtime::graph::{Graph, GraphSpec};
+use parallax_runtime::registry::Registry;
 use parallax_runtime::time::{Nanos, from_seconds};
 use serde_json::Value;
 
@@ -128,7 +129,12 @@ fn read_graph(path: &Path) -> Result<GraphSpec, Failure> {
 
 /// The graph checked against the known kinds of node; its warnings are printed.
 pub(crate) fn validate(spec: &GraphSpec) -> Result<Graph, Failure> {
-    let graph = spec.validate(&crate::cli::python::registry()).input()?;
+    validate_with(spec, &crate::cli::python::registry())
+}
+
+/// As [`validate`], against these kinds.
+pub(crate) fn validate_with(spec: &GraphSpec, registry: &Registry) -> Result<Graph, Failure> {
+    let graph = spec.validate(registry).input()?;
     for warning in graph.warnings() {
         eprintln!("warning: {warning}");
     }

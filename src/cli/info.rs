@@ -3,6 +3,8 @@
 mod graph;
 mod log;
 mod recording;
+
+pub(crate) use recording::clock;
 mod system;
 
 use std::path::{Path, PathBuf};

@@ -11,7 +11,9 @@ mod graph;
 mod identify;
 mod import;
 mod info;
+mod join;
 mod latency;
+mod lockstep;
 mod new;
 mod output;
 mod python;
@@ -87,6 +89,9 @@ enum Command {
     /// Say what is in a recording, a folder of logs, a graph or a system.
     #[command(after_help = EXIT_CODES)]
     Info(info::Arguments),
+    /// Make one recording of the parts of a run that was recorded with --rotate, or whose recorder died.
+    #[command(after_help = EXIT_CODES)]
+    Join(join::Arguments),
     /// Say how long steps and messages took in a recording, and fit distributions to that.
     #[command(after_help = EXIT_CODES)]
     Delays(delays::Arguments),
@@ -150,7 +155,9 @@ enum Command {
 pub(crate) fn main() -> ExitCode {
     let cli = Cli::parse();
     let level = ["warn", "info", "debug"][usize::from(cli.verbose.min(2))];
-    let filter = EnvFilter::try_from_env("PARALLAX_LOG").unwrap_or_else(|_| EnvFilter::new(level));
+    // What zenoh says of every attempt to connect is for whoever looks for a fault in the network.
+    let filter = if cli.verbose < 2 { format!("{level},zenoh=off") } else { level.into() };
+    let filter = EnvFilter::try_from_env("PARALLAX_LOG").unwrap_or_else(|_| EnvFilter::new(filter));
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
 
     let result = match cli.command {
@@ -184,6 +191,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Import(arguments) => import::run(&arguments),
         Command::New(arguments) => new::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
+        Command::Join(arguments) => join::run(&arguments),
         Command::Delays(arguments) => delays::run(&arguments),
         Command::Graph(arguments) => graph::run(&arguments),
     };

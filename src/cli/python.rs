@@ -12,6 +12,8 @@ use parallax_runtime::launch::LaunchSpec;
 use parallax_runtime::node::NodeError;
 use parallax_runtime::registry::{NodeKind, Registry};
 
+use super::lockstep;
+
 /// The kind of these nodes.
 const PYTHON: &str = "python";
 /// Where an interpreter for nodes is named.
@@ -23,9 +25,24 @@ const LOOK: &str = "import importlib.util, sys; sys.exit(importlib.util.find_spe
 /// The kinds of node that come with Parallax, and those written in Python.
 pub(crate) fn registry() -> Registry {
     let kind = NodeKind::external(|_, _, _| {
-        Err(NodeError::failed("it is written in Python, and runs in `parallax run` only"))
+        Err(NodeError::failed("it is written in Python, and runs in `parallax run` and `parallax sim` only"))
     });
     parallax_nodes::registry().with(PYTHON, kind)
+}
+
+/// The same, where nodes in Python are stepped by a simulated clock. The interpreter stands in the launch.toml beside the graph, or
+/// is that of the active environment.
+///
+/// # Errors
+///
+/// As [`programs`], and when that launch.toml cannot be read.
+pub(crate) fn simulated(spec: &GraphSpec, folder: Option<&Path>) -> anyhow::Result<Registry> {
+    if spec.nodes.iter().all(|node| node.kind != PYTHON) {
+        return Ok(registry());
+    }
+    let beside = folder.map(|folder| folder.join("launch.toml")).filter(|path| path.is_file());
+    let launch = beside.map_or_else(|| Ok(LaunchSpec::default()), |path| LaunchSpec::read(&path))?;
+    Ok(registry().with(PYTHON, lockstep::kind(programs(spec, &launch, folder)?)))
 }
 
 /// The commands that run the nodes of a graph that are written in Python. Modules are also looked for in `folder`.

@@ -7,12 +7,14 @@ use anyhow::anyhow;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use parallax_runtime::launch::{
-    self, End, InputReport, LaunchSpec, NodeReport, RecordingReport, Rotate, RunError, RunOptions, RunReport,
+    self, Crossing, End, InputReport, LaunchSpec, LinkReport, NodeReport, RecordingReport, Rotate, RunError,
+    RunOptions, RunReport,
 };
 use parallax_runtime::time::{Nanos, to_seconds};
 
 use super::args::{NodeChange, Play, duration, graph_spec, make_parent};
 use super::failure::{Failure, Outcome, Sort};
+use super::info::clock;
 use super::{output, python};
 
 #[derive(Args)]
@@ -50,6 +52,9 @@ pub(crate) struct Arguments {
     /// Change a launch setting of a node, or of all nodes, before the file: agent.policy=fifo, defaults.restart=always.
     #[arg(long = "set", value_name = "NODE.SETTING=VALUE")]
     settings: Vec<String>,
+    /// Which machine of the launch settings this is, where the graph runs on several (docs/several-machines.md).
+    #[arg(long, value_name = "NAME")]
+    host: Option<String>,
     /// Run the nodes as threads of one process: --set defaults.run_as=thread.
     #[arg(long)]
     threads: bool,
@@ -76,6 +81,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     };
     if let Some(out) = &out {
         make_parent(out)?;
+    } else if let Some(group) = &arguments.group {
+        return Err(Failure::input(anyhow!(
+            "--group {group} names who may read the recording, and none is made; add --record or --out FILE.mcap"
+        )));
     }
     let bar = bar(&spec.name, arguments.duration);
     let launch = launch_spec(arguments)?;
@@ -90,6 +99,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         recording: out.clone(),
         rotate: arguments.rotate,
         launch,
+        host: arguments.host.clone(),
         programs,
         patience,
         spread: !arguments.no_spread,
@@ -224,6 +234,7 @@ pub(crate) fn sort(error: RunError) -> Failure {
     match error {
         RunError::Graph(_)
         | RunError::Settings(_)
+        | RunError::RecorderElsewhere { .. }
         | RunError::Group { .. }
         | RunError::PrivateForNobody { .. } => Failure::input(error),
         _ => Failure::runtime(error),
@@ -235,8 +246,9 @@ pub(crate) fn ended(report: &RunReport) -> Result<Outcome, Failure> {
     match &report.end {
         End::Duration => Ok(Outcome::Done),
         End::Signal => Ok(Outcome::Interrupted),
-        End::Node { node } => {
-            Err(Failure::runtime(anyhow!(report.failure().unwrap_or_else(|| format!("node {node} ended")))))
+        End::Node { .. } | End::Host { .. } | End::Link { .. } => {
+            let why = report.failure().unwrap_or_else(|| "the run ended before its time".into());
+            Err(Failure::runtime(anyhow!(why)))
         }
     }
 }
@@ -274,6 +286,7 @@ fn print(report: &RunReport) {
         &rows,
     );
     print_messages(report);
+    report.link.iter().for_each(print_link);
     report.nodes.iter().flat_map(notes).for_each(output::line);
 }
 
@@ -296,6 +309,23 @@ fn print_messages(report: &RunReport) {
     if !rows.is_empty() {
         output::table(&["messages", "sent", "consumed", "superseded", "in flight", "lost"], &rows);
     }
+}
+
+/// What crossed between this machine and others.
+fn print_link(link: &LinkReport) {
+    let row = |crossing: &Crossing| {
+        let counts = [crossing.sent, crossing.received, crossing.lost, crossing.malformed];
+        let counts = counts.map(|count| count.to_string());
+        let size = format!("{:.1} kB", crossing.bytes as f64 / 1e3);
+        [vec![crossing.channel.clone()], counts.to_vec(), vec![size]].concat()
+    };
+    let rows: Vec<Vec<String>> = link.crossings.iter().map(row).collect();
+    output::table(&["crossed", "sent", "received", "lost", "malformed", "size"], &rows);
+    link.clocks.iter().map(clock).for_each(output::line);
+    if link.silences > 0 {
+        output::line(format!("other machines were silent for too long {} times", link.silences));
+    }
+    link.problem.iter().for_each(|problem| output::line(format!("the link: {problem}")));
 }
 
 /// What happened to a node that the table does not tell.

@@ -1,5 +1,6 @@
 //! `parallax sim`: a graph under a simulated clock.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -13,9 +14,9 @@ use parallax_runtime::time::{Nanos, to_seconds};
 use parallax_sim::{ChangePlan, Executor, SimError};
 use serde_json::json;
 
-use super::args::{NodeChange, Play, duration, graph_spec, make_parent, validate};
+use super::args::{NodeChange, Play, duration, graph_spec, make_parent, validate_with};
 use super::failure::{Failure, Outcome, Sort};
-use super::output;
+use super::{output, python};
 
 #[derive(Args)]
 pub(crate) struct Arguments {
@@ -49,7 +50,11 @@ pub(crate) struct Arguments {
 }
 
 pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
-    let graph = validate(&graph_spec(&arguments.graph, &arguments.changes, &arguments.play)?)?;
+    let spec = graph_spec(&arguments.graph, &arguments.changes, &arguments.play)?;
+    let folder =
+        Path::new(&arguments.graph).parent().filter(|_| parallax_nodes::graph(&arguments.graph).is_none());
+    let registry = python::simulated(&spec, folder).map_err(Failure::input)?;
+    let graph = validate_with(&spec, &registry)?;
     let mut executor = Executor::new(graph, arguments.seed);
     if let Some(factor) = arguments.real_time_factor {
         executor = executor.real_time_factor(factor);
@@ -152,9 +157,28 @@ pub(crate) fn describe(fault: &Fault) -> String {
             format!("stopped, because it waited for `{sender}`, which is dead")
         }
         FaultKind::Died { message } => format!("died: {message}"),
+        FaultKind::Replaced { step } => format!("sent its safe output in place of that of step {step}"),
         FaultKind::Restarted { step, .. } => format!("was started again at step {step}"),
     };
     format!("node `{}` {how} (at {:.3} s)", fault.node, to_seconds(fault.time))
+}
+
+/// Faults in words; what happened to many outputs of a node is told once.
+pub(crate) fn describe_all(faults: &[Fault]) -> Vec<String> {
+    use parallax_runtime::recording::FaultKind;
+    let mut replaced: BTreeMap<&str, (usize, &Fault)> = BTreeMap::new();
+    let mut said = Vec::new();
+    for fault in faults {
+        match fault.kind {
+            FaultKind::Replaced { .. } => replaced.entry(&fault.node).or_insert((0, fault)).0 += 1,
+            _ => said.push(describe(fault)),
+        }
+    }
+    said.extend(replaced.into_iter().map(|(node, (count, first))| {
+        let at = to_seconds(first.time);
+        format!("node `{node}` sent its safe output in place of {count} outputs, the first at {at:.3} s")
+    }));
+    said
 }
 
 /// Passes everything on and shows how far the run is.

@@ -14,7 +14,9 @@ from __future__ import annotations
 import gc
 import importlib
 import json
+import os
 import sys
+import traceback
 import zlib
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -188,11 +190,53 @@ def _build(
     return stepped
 
 
+def _bits(values: Any) -> list[int]:
+    return [int(bits) for bits in np.asarray(values, np.float64).view(np.uint64)]
+
+
+def _shown(seen: dict[str, Any], leaves: int) -> _Seen:
+    stamps = np.asarray(seen["stamps"], np.int64).reshape(-1, 3)
+    values = np.asarray(seen["leaves"], np.uint64).view(np.float64).reshape(len(stamps), leaves)
+    return stamps, values, [bytes.fromhex(data) for data in seen["data"]]
+
+
+def _lockstep() -> int:
+    """Makes steps as they are asked for, a line each, until nothing more can be asked."""
+    # What the node prints must not get between the answers.
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+    node: _Plain | _Compiled | None = None
+    inputs: list[_Input] = []
+    for line in sys.stdin:
+        asked = json.loads(line)
+        answer: dict[str, Any]
+        try:
+            if node is None:
+                inputs = [(port, window, leaves) for port, window, leaves in asked["inputs"]]
+                message, leaves = asked["output"]
+                described = (asked["name"], asked["rate"], asked["seed"], asked["parameters"])
+                node = _build(*described, inputs, (message, leaves))
+                answer = {}
+            else:
+                pairs = zip(asked["inputs"], inputs, strict=True)
+                seen = [_shown(shown, len(names)) for shown, (_, _, names) in pairs]
+                sent, data = node.step(*asked["step"], seen)
+                answer = {"leaves": _bits(sent), "data": (data or b"").hex()}
+        except Exception:  # noqa: BLE001: whatever it is, the clock has to know
+            answer = {"error": traceback.format_exc().rstrip()}
+        print(json.dumps(answer), file=answers, flush=True)
+    if node is not None:
+        node.stop("over")
+    return 0
+
+
 def main(arguments: list[str]) -> int:
     """Runs a node as its launcher says; gives the exit status."""
     if arguments[:1] == ["--path"]:
         sys.path.insert(0, arguments[1])
         arguments = arguments[2:]
+    if arguments == ["--lockstep"]:
+        return _lockstep()
     return 0 if _native.work(arguments, _build) else 1
 
 

@@ -97,6 +97,13 @@ impl SharedPage {
         unsafe { self.start.add(index).as_ref() }
     }
 
+    /// All cells.
+    #[cfg(feature = "link")]
+    pub(crate) fn cells(&self) -> &[AtomicU64] {
+        // SAFETY: so many aligned cells lie in the mapped page, alive as long as `self`, valid for any bits.
+        unsafe { std::slice::from_raw_parts(self.start.as_ptr(), CELLS) }
+    }
+
     /// The first half of a cell: what can be slept on.
     pub(crate) fn half(&self, index: usize) -> &AtomicU32 {
         let cell: *const AtomicU64 = self.cell(index);

@@ -132,6 +132,11 @@ impl Endpoint {
     ///
     /// [`ChannelError::Transport`] when it exists already, or cannot be made.
     pub fn create(&self, topic: &Topic) -> Result<Service, ChannelError> {
+        self.create_for(topic, 1)
+    }
+
+    /// As [`create`](Self::create), for so many publishers: one, and the link to other machines where the channel crosses.
+    pub(crate) fn create_for(&self, topic: &Topic, publishers: usize) -> Result<Service, ChannelError> {
         let fail = failed(&topic.name, "create the channel");
         let (key, value) = attribute(topic)?;
         let attributes = AttributeSpecifier::new().define(&key, &value).map_err(|e| fail(&e))?;
@@ -139,9 +144,9 @@ impl Endpoint {
             .node
             .service_builder(&service_name(&topic.name)?)
             .publish_subscribe::<[u64]>()
-            .max_publishers(1)
+            .max_publishers(publishers)
             .max_subscribers(topic.subscribers.max(1))
-            .max_nodes(topic.subscribers + 2)
+            .max_nodes(topic.subscribers + 1 + publishers)
             .subscriber_max_buffer_size(topic.buffer.max(1))
             .subscriber_max_borrowed_samples(topic.borrowed())
             .history_size(0)

@@ -161,6 +161,8 @@ impl RunPage {
             End::Duration => (1, 0),
             End::Signal => (2, 0),
             End::Node { node } => (3, graph.index(node).unwrap_or(0)),
+            End::Host { .. } => (4, 0),
+            End::Link { .. } => (5, 0),
         };
         self.set(END_NODE, node as u64);
         self.set(END, kind);
@@ -187,6 +189,9 @@ impl RunPage {
             1 => Some(End::Duration),
             2 => Some(End::Signal),
             3 => node().map(|node| End::Node { node }),
+            // What it was is in the report.
+            4 => Some(End::Host { host: String::new(), why: String::new() }),
+            5 => Some(End::Link { problem: String::new() }),
             _ => None,
         }
     }

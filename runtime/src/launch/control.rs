@@ -11,9 +11,10 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::desk::{By, Told, Wish};
+use super::link::{News, Word};
 use super::record::Ledger;
 use super::report::Exit;
-use crate::recording::{Clock, Fault};
+use crate::recording::{Clock, ClockReading, Fault};
 use crate::time::Nanos;
 
 /// Bytes of a line at most.
@@ -37,8 +38,12 @@ pub(super) enum Order {
     Record { clock: Clock },
     /// To the recorder: write this down.
     Fault { fault: Fault },
+    /// To the recorder: how the clocks of two machines stand to each other; write this down.
+    Clocks { readings: Vec<ClockReading> },
     /// To the recorder: the run is over and lasted so long; write what is left.
     Finish { duration: Nanos },
+    /// To the link.
+    Link { word: Word },
 }
 
 /// From a node to the launcher.
@@ -51,6 +56,8 @@ pub(super) enum Answer {
     Connected { receivers: usize, recorders: usize },
     /// The recorder listens to all nodes.
     Listening,
+    /// The link says something.
+    Link { news: News },
     /// The recorder has closed its last file.
     Recorded { ledger: Box<Ledger> },
     /// The node, or the recorder, cannot go on.

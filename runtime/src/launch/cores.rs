@@ -12,6 +12,7 @@ const SHARED_SPIN: crate::time::Nanos = NodeSettings::SPIN;
 pub(super) fn assign(
     graph: &Graph,
     nodes: &mut [NodeSettings],
+    here: impl Fn(usize) -> bool,
     spread: bool,
 ) -> Result<(Vec<String>, Vec<String>), RunError> {
     let available: Vec<usize> =
@@ -22,7 +23,11 @@ pub(super) fn assign(
         graph.check_cores(&available)?;
     }
     let mut refused = Vec::new();
-    for (node, plan) in nodes.iter_mut().zip(graph.nodes()) {
+    for (place, (node, plan)) in nodes.iter_mut().zip(graph.nodes()).enumerate() {
+        if !here(place) {
+            node.core = None;
+            continue;
+        }
         if let Some(core) = node.core.take_if(|core| !available.contains(core)) {
             let cores: Vec<String> = available.iter().map(ToString::to_string).collect();
             refused.push(format!(
@@ -39,7 +44,9 @@ pub(super) fn assign(
         free.extend(taken);
         let mut next = free.iter().copied().cycle();
         // A node whose core is not there goes where there is room, too.
-        nodes.iter_mut().filter(|node| node.core.is_none()).for_each(|node| node.core = next.next());
+        let without =
+            nodes.iter_mut().enumerate().filter(|(place, node)| here(*place) && node.core.is_none());
+        without.for_each(|(_, node)| node.core = next.next());
     }
     refused.extend(too_few(graph, nodes));
     Ok((graph.warnings().iter().map(ToString::to_string).collect(), refused))

@@ -2,6 +2,7 @@
 //!
 //! What happens to a single node while the run goes on is in [`supervise`](super::supervise).
 
+use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use super::RunOptions;
@@ -10,6 +11,7 @@ use super::control::{Answer, Order, readable};
 use super::door::{Door, Passed};
 use super::error::RunError;
 use super::event::{EventKind, Journal};
+use super::link::{Bridge, Turn};
 use super::plan::{self, Settings};
 use super::recorder::Recorder;
 use super::report::{End, Exit, NodeReport};
@@ -84,6 +86,8 @@ pub(super) struct Crew<'a> {
     pub(super) site: Site<'a>,
     pub(super) members: Vec<Member>,
     pub(super) recorder: Option<Recorder<'a>>,
+    /// The link to other machines.
+    pub(super) bridge: Option<Bridge>,
     pub(super) journal: Journal,
     pub(super) door: Door,
     pub(super) patience: Duration,
@@ -113,15 +117,21 @@ impl<'a> Crew<'a> {
         site: Site<'a>,
         vitals: Vec<Vitals>,
         recorder: Option<Recorder<'a>>,
+        bridge: Option<Bridge>,
         options: &mut RunOptions,
     ) -> Result<Self, RunError> {
         let journal = Journal { tell: options.events.take(), ..Journal::default() };
         let (patience, stopping) = (options.patience, Vec::new());
         let door = Door::open(site.space, site.graph.nodes().len())?;
-        let mut crew = Self { site, members: Vec::new(), recorder, journal, door, patience, stopping };
+        let mut crew =
+            Self { site, members: Vec::new(), recorder, bridge, journal, door, patience, stopping };
         for (node, vitals) in vitals.into_iter().enumerate() {
+            let worker = match &mut crew.bridge {
+                Some(bridge) if !bridge.placement().is_here(node) => bridge.hire(crew.site.graph, node)?,
+                _ => (crew.site.hire)(node, false)?,
+            };
             crew.members.push(Member {
-                worker: (crew.site.hire)(node, false)?,
+                worker,
                 settings: crew.site.settings.nodes[node].clone(),
                 vitals,
                 state: State::Up,
@@ -147,10 +157,14 @@ impl<'a> Crew<'a> {
             Ok(true)
         })?;
         self.order_all(&Order::Connect);
-        let (graph, recording) = (self.site.graph, self.site.settings.recording);
+        let (graph, settings) = (self.site.graph, self.site.settings);
         self.await_all("connect to its receivers", |node, answer| {
             let Answer::Connected { receivers, recorders } = answer else { return Ok(false) };
-            let expected = graph.nodes()[node].outputs.len() + usize::from(recording);
+            if !settings.is_here(node) {
+                return Ok(true);
+            }
+            let here = plan::output_here(graph, settings, node).subscribers;
+            let expected = here + usize::from(settings.recording);
             let got = receivers + recorders;
             if got != expected {
                 return Err(RunError::Receivers { node: graph.nodes()[node].name.clone(), got, expected });
@@ -173,6 +187,9 @@ impl<'a> Crew<'a> {
         let start = Instant::now();
         let mut pending = vec![true; self.members.len()];
         loop {
+            if let Some(bridge) = &mut self.bridge {
+                bridge.look()?;
+            }
             for (node, Member { worker, .. }) in self.members.iter_mut().enumerate() {
                 for answer in worker.answers() {
                     if let Answer::Failed { reason } = answer {
@@ -204,7 +221,8 @@ impl<'a> Crew<'a> {
     /// Waits until a node says something or dies, a signal comes, or the time is over.
     pub(super) fn pause(&self, time: Nanos) {
         let lines = self.members.iter().map(|member| &member.worker.line).filter(|line| !line.closed());
-        let lines: Vec<_> = lines.map(|line| line.fd()).chain(self.door.descriptors()).collect();
+        let lines = lines.map(|line| line.fd()).chain(self.door.descriptors());
+        let lines: Vec<_> = lines.chain(self.bridge.iter().filter_map(Bridge::fd)).collect();
         readable(&lines, ((time + 999_999) / 1_000_000).clamp(0, 1000) as i32);
     }
 
@@ -247,6 +265,9 @@ impl<'a> Crew<'a> {
                     return end;
                 }
             }
+            if let Some(end) = self.cross() {
+                return end;
+            }
             self.open_door();
             if let Some(recorder) = &mut self.recorder {
                 recorder.look(self.site.endpoint);
@@ -260,6 +281,42 @@ impl<'a> Crew<'a> {
             });
             self.pause(tick.min(left).min(next.min().unwrap_or(tick)).max(1));
         }
+    }
+
+    /// Takes in what the link to other machines says, and tells it of ends; gives the end of the run.
+    fn cross(&mut self) -> Option<End> {
+        let exits = self.exits();
+        let bridge = self.bridge.as_mut()?;
+        bridge.tell_exits(exits);
+        let turns = match bridge.look() {
+            Ok(turns) => turns,
+            Err(error) => return Some(End::Link { problem: error.to_string() }),
+        };
+        let mut end = None;
+        for turn in turns {
+            match turn {
+                Turn::Tell(text) => self.journal.say(&text),
+                Turn::Clocks(readings) => {
+                    if let Some(recorder) = &mut self.recorder {
+                        recorder.clocks(readings);
+                    }
+                }
+                Turn::TimeOver => end = end.or(Some(End::Duration)),
+                Turn::End { host, why } => end = end.or(Some(End::Host { host, why })),
+            }
+        }
+        end
+    }
+
+    /// How nodes of this machine ended, as far as they have.
+    pub(super) fn exits(&self) -> BTreeMap<String, Exit> {
+        let here = |node: &usize| self.site.settings.is_here(*node);
+        let over =
+            (0..self.members.len()).filter(here).filter(|&node| self.members[node].state == State::Over);
+        let exit = |node: usize| {
+            Some((self.site.graph.nodes()[node].name.clone(), self.members[node].exit.clone()?))
+        };
+        over.filter_map(exit).collect()
     }
 
     /// Passes on what somebody at the door wishes of a node.
@@ -335,6 +392,10 @@ impl<'a> Crew<'a> {
             .iter()
             .any(|member| member.state == State::Up && start.elapsed() < self.allowed(member))
         {
+            if let Some(bridge) = &mut self.bridge {
+                // It answers for the nodes of other machines. A link that fails now is told of in its report.
+                let _ = bridge.look();
+            }
             self.pause(TICK);
             (0..self.members.len()).for_each(|node| self.hear_out(node, clock, true));
         }

@@ -104,6 +104,27 @@ pub enum RunError {
         /// The node.
         node: String,
     },
+    /// The graph runs on several machines, and this program cannot.
+    #[error(
+        "the launch settings name several machines, and this program was built without the link between them; build it \
+         with `--features link`"
+    )]
+    NoLink,
+    /// The link to the other machines could not begin.
+    #[error("the link to the other machines could not begin: {reason}")]
+    Link {
+        /// What it said, or how it died.
+        reason: String,
+    },
+    /// A recording is asked for where none is made, or none is where one is.
+    #[error("{problem}")]
+    RecorderElsewhere {
+        /// What is wrong, and what to do.
+        problem: String,
+    },
+    /// Somebody stopped the run before it began.
+    #[error("stopped while waiting for the other machines")]
+    Interrupted,
     /// Signals cannot be watched.
     #[error("cannot watch for Ctrl-C: {0}")]
     Signals(io::Error),

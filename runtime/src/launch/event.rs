@@ -4,6 +4,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use super::Warner;
 use super::report::Exit;
 use crate::time::{Nanos, to_seconds};
 
@@ -129,11 +130,25 @@ impl fmt::Display for Event {
 #[derive(Default)]
 pub(super) struct Journal {
     pub(super) tell: Option<Watcher>,
+    /// Tells what concerns no single node.
+    pub(super) warn: Option<Warner>,
+    /// What was told of that kind.
+    pub(super) said: Vec<String>,
     pub(super) events: Vec<Event>,
     pub(super) omitted: u64,
 }
 
 impl Journal {
+    /// Something that concerns no single node.
+    pub(super) fn say(&mut self, text: &str) {
+        if let Some(warn) = &mut self.warn {
+            warn(text);
+        }
+        if self.said.len() < LISTED {
+            self.said.push(text.into());
+        }
+    }
+
     pub(super) fn note(&mut self, time: Nanos, node: &str, kind: EventKind) {
         let event = Event { time, node: node.into(), kind };
         if let Some(tell) = &mut self.tell {

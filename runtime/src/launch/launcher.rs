@@ -7,10 +7,11 @@ use super::about::{About, RunPage};
 use super::control::Order;
 use super::crew::{Crew, Site};
 use super::error::RunError;
+use super::link::{Bridge, Placement, TIME_OVER};
 use super::plan::{self, RUN_FILE, RecordingPlan, RunFile, Settings};
 use super::priority::Raised;
 use super::recorder::Recorder;
-use super::report::{End, NodeReport, RecordingReport, RunReport};
+use super::report::{End, LinkReport, NodeReport, RecordingReport, RunReport};
 use super::settings::{NodeSettings, Policy, Refused, RunAs};
 
 use super::signals::Signals;
@@ -26,6 +27,9 @@ use crate::time::Nanos;
 
 /// Between the order to start and the common start: time for the order to reach every node.
 const LEAD: Nanos = 20_000_000;
+/// The same where the order has to reach other machines.
+const FAR_LEAD: Nanos = 500_000_000;
+
 /// Runs a graph in real time.
 ///
 /// # Errors
@@ -40,21 +44,30 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
     let mut nodes = options.launch.resolve(&graph, &options.base())?;
     let signals = if options.signals { Some(Signals::watch().map_err(RunError::Signals)?) } else { None };
     let mut warnings = Warnings { tell: options.warn.take(), list: Vec::new() };
-    let (worth_knowing, refused) = cores::assign(&graph, &mut nodes, options.spread)?;
+    let placement = options.launch.place(&graph, options.host.as_deref())?;
+    if let Some(placement) = &placement {
+        check_recorder(placement, options.recording.is_some())?;
+        watch_only(placement, &mut nodes);
+    }
+    let here = |node: usize| placement.as_ref().is_none_or(|placement| placement.is_here(node));
+    let (worth_knowing, refused) = cores::assign(&graph, &mut nodes, here, options.spread)?;
     warnings.extend(worth_knowing);
     heed(refused, options.launch.refused, &mut warnings)?;
     check_private(&graph, &nodes, &options)?;
-    check_programs(&graph, &nodes, &options)?;
+    check_programs(&graph, &nodes, here, &options)?;
     let space = Space::create()?;
-    let memory = plan::memory(&graph, options.recording.is_some());
-    space.reserve(memory)?;
     let settings = Settings {
         seed: options.seed,
         duration: options.duration,
-        recording: options.recording.is_some(),
+        recording: match &placement {
+            Some(placement) => placement.recorder.is_some(),
+            None => options.recording.is_some(),
+        },
         recorder: recording_plan(&options)?,
         nodes,
+        placement,
     };
+    space.reserve(plan::memory(&graph, &settings))?;
     let file = RunFile { graph: graph.spec().clone(), settings: settings.clone() };
     let file = serde_json::to_vec(&file).map_err(|e| crate::channel::ChannelError::Io {
         what: "cannot describe the run in",
@@ -65,7 +78,7 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
 
     // Everything is declared in the order in which it must not end: the space last, the nodes first.
     let endpoint = Endpoint::new(&space)?;
-    let _services = create(&graph, &endpoint, settings.recording)?;
+    let _services = create(&graph, &endpoint, &settings)?;
     let recorder = match &options.recording {
         Some(path) => {
             Some(Recorder::start(&graph, &settings, &space, path, &options.node_command, &options)?)
@@ -82,15 +95,33 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
         programs: std::mem::take(&mut options.programs),
     };
     let hire = |node, stop_only| hire(&graph, &settings, &space, &hiring, node, stop_only);
+    let bridge = match &settings.placement {
+        Some(placement) => Some(Bridge::start(&space, placement, &hiring.command)?),
+        None => None,
+    };
     let site = Site { graph: &graph, settings: &settings, space: &space, endpoint: &endpoint, hire: &hire };
-    let mut crew = Crew::start(site, vitals, recorder, &mut options)?;
+    let mut crew = Crew::start(site, vitals, recorder, bridge, &mut options)?;
+    crew.journal.warn = warnings.tell.take();
     let refused = crew.handshake()?;
+    warnings.tell = crew.journal.warn.take();
     heed(refused, options.launch.refused, &mut warnings)?;
     // Every port exists now.
     space.commit()?;
     let _raised = Raised::current(settings.nodes.iter().any(|node| node.policy != Policy::Other));
 
-    let clock = WallClock::starting_in(LEAD);
+    let clock = match &mut crew.bridge {
+        None => WallClock::starting_in(LEAD),
+        Some(bridge) => {
+            let mut tell = |text: &str| {
+                if let (Some(tell), false) = (&mut warnings.tell, text.is_empty()) {
+                    tell(text);
+                }
+                !signals.as_ref().is_some_and(Signals::raised)
+            };
+            WallClock::with_epoch(bridge.begin(|| WallClock::starting_in(FAR_LEAD).epoch(), &mut tell)?)
+        }
+    };
+    crew.journal.warn = warnings.tell.take();
     if let Some(recorder) = &mut crew.recorder {
         recorder.begin(describe_clock(clock, options.seed));
     }
@@ -104,6 +135,9 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
     };
     crew.stop(clock);
     let shared_memory = used(&space);
+    let link = pass_on(&mut crew, &end);
+    warnings.tell = crew.journal.warn.take();
+    warnings.list.append(&mut crew.journal.said);
     let recorder = crew.recorder.take();
     let recording = recorder.map(|recorder| recorder.finish(&graph, duration, &endpoint));
     let (nodes, journal) = crew.dismiss(clock);
@@ -119,6 +153,7 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
         nodes,
         events: journal.events,
         events_omitted: journal.omitted,
+        link,
         recording,
         warnings: warnings.list,
     })
@@ -182,8 +217,69 @@ fn check_private(graph: &Graph, nodes: &[NodeSettings], options: &RunOptions) ->
     Ok(())
 }
 
-fn check_programs(graph: &Graph, nodes: &[NodeSettings], options: &RunOptions) -> Result<(), RunError> {
-    for (plan, settings) in graph.nodes().iter().zip(nodes) {
+/// One machine records, and that one has to be told where to.
+fn check_recorder(placement: &Placement, recording: bool) -> Result<(), RunError> {
+    let name = |host: usize| &placement.hosts[host].name;
+    let problem = match placement.recorder {
+        None if recording => "no machine records: name one, recorder = \"NAME\" under [link] of the launch settings, and \
+                              give the file there"
+            .into(),
+        Some(recorder) if recording && !placement.records_here() => {
+            format!("machine {} records for all (recorder under [link]): give the file there", name(recorder))
+        }
+        Some(_) if placement.records_here() && !recording => {
+            "this machine records for all (recorder under [link]): say where to, with --out FILE.mcap or --record".into()
+        }
+        _ => return Ok(()),
+    };
+    Err(RunError::RecorderElsewhere { problem })
+}
+
+/// What holds here for nodes of other machines: their signs of life are watched, and nothing is done about them.
+fn watch_only(placement: &Placement, nodes: &mut [NodeSettings]) {
+    for (node, settings) in nodes.iter_mut().enumerate().filter(|(node, _)| !placement.is_here(*node)) {
+        debug_assert!(node < placement.of.len());
+        *settings = NodeSettings { heartbeat: placement.silence, ..NodeSettings::default() };
+    }
+}
+
+/// Lets the link pass on what is left, and waits for the other machines; gives what became of it.
+fn pass_on(crew: &mut Crew<'_>, end: &End) -> Option<LinkReport> {
+    let exits = crew.exits();
+    let mut bridge = crew.bridge.take()?;
+    let why = match end {
+        End::Duration => TIME_OVER.into(),
+        End::Signal => "somebody stopped it there".into(),
+        End::Node { node } => format!("node {node} ended there"),
+        End::Host { host, why } => format!("machine {host}: {why}"),
+        End::Link { problem } => problem.clone(),
+    };
+    let Crew { recorder, .. } = crew;
+    bridge.finish(why, exits, |readings| {
+        if let Some(recorder) = recorder {
+            recorder.clocks(readings);
+        }
+    });
+    for (name, exit) in bridge.exits() {
+        if let Some(node) = crew.site.graph.index(name).filter(|&node| !crew.site.settings.is_here(node)) {
+            crew.members[node].exit = Some(exit.clone());
+        }
+    }
+    let mut report = bridge.dismiss();
+    if let End::Link { problem } = end {
+        report.problem = Some(problem.clone());
+    }
+    Some(report)
+}
+
+fn check_programs(
+    graph: &Graph,
+    nodes: &[NodeSettings],
+    here: impl Fn(usize) -> bool,
+    options: &RunOptions,
+) -> Result<(), RunError> {
+    let all = graph.nodes().iter().zip(nodes).enumerate();
+    for (_, (plan, settings)) in all.filter(|(node, _)| here(*node)) {
         let node = || plan.name.clone();
         match options.programs.get(&plan.name) {
             None if plan.kind.is_external() => return Err(RunError::NoProgram { node: node() }),
@@ -197,15 +293,10 @@ fn check_programs(graph: &Graph, nodes: &[NodeSettings], options: &RunOptions) -
 }
 
 /// Creates every channel, so that no node has to wait for another to exist.
-fn create(graph: &Graph, endpoint: &Endpoint, recording: bool) -> Result<Vec<Service>, RunError> {
-    let mut services = Vec::new();
-    for node in 0..graph.nodes().len() {
-        services.push(endpoint.create(&plan::output(graph, node))?);
-        if recording {
-            services.push(endpoint.create(&plan::records(graph, node))?);
-        }
-    }
-    Ok(services)
+fn create(graph: &Graph, endpoint: &Endpoint, settings: &Settings) -> Result<Vec<Service>, RunError> {
+    let channels = plan::channels(graph, settings);
+    let services = channels.iter().map(|(topic, senders)| endpoint.create_for(topic, *senders));
+    Ok(services.collect::<Result<_, _>>()?)
 }
 
 /// Starts the process or the thread of a node.

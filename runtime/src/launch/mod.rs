@@ -37,6 +37,7 @@ mod door;
 mod error;
 mod event;
 mod launcher;
+mod link;
 mod live;
 mod orders;
 mod plan;
@@ -66,11 +67,14 @@ pub use door::{AskError, read_node, reset_state, set_parameters};
 pub use error::RunError;
 pub use event::{Event, EventKind, Watcher};
 pub use launcher::run;
+pub use link::{Crossing, HostSpec, LinkSpec, OnGone};
 pub use live::{
     ConnectionView, LiveError, LiveRun, NodeState, NodeView, RecorderView, RunName, Sample, Snapshot,
     live_runs,
 };
-pub use report::{End, Exit, InputReport, NodeReport, NonFinite, Percentiles, RecordingReport, RunReport};
+pub use report::{
+    End, Exit, InputReport, LinkReport, NodeReport, NonFinite, Percentiles, RecordingReport, RunReport,
+};
 pub use settings::{
     LaunchSpec, NodeLaunch, NodeSettings, OnDeadline, OnHang, OnNonFinite, Policy, Refused, Restart, RunAs,
     SettingsError, WaitStrategy,
@@ -124,6 +128,8 @@ pub struct RunOptions {
     /// How single nodes are run, and what happens when they fail. It goes before [`mode`](Self::mode),
     /// [`spin`](Self::spin) and [`real_time`](Self::real_time), which hold for nodes of which it says nothing.
     pub launch: LaunchSpec,
+    /// Which of the machines in the launch settings this one is; `None` for graphs on one machine.
+    pub host: Option<String>,
     /// Processes or threads.
     pub mode: Mode,
     /// Environment variables for the processes of single nodes, by node. They are not recorded.
@@ -164,6 +170,7 @@ impl Default for RunOptions {
             recording: None,
             rotate: None,
             launch: LaunchSpec::default(),
+            host: None,
             mode: Mode::default(),
             private: BTreeMap::new(),
             spin: 0,
@@ -206,6 +213,7 @@ impl std::fmt::Debug for RunOptions {
             .field("seed", &self.seed)
             .field("recording", &self.recording)
             .field("launch", &self.launch)
+            .field("host", &self.host)
             .field("mode", &self.mode)
             .field("programs", &self.programs)
             .field("spin", &self.spin)

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 
 use super::Rotate;
+use super::link::Placement;
 use super::settings::NodeSettings;
 use crate::channel::Topic;
 use crate::graph::{Graph, GraphSpec, few};
@@ -33,6 +34,15 @@ pub(super) struct Settings {
     pub(super) recorder: Option<RecordingPlan>,
     /// How each node is run.
     pub(super) nodes: Vec<NodeSettings>,
+    /// Which nodes run here, where they run on several machines.
+    pub(super) placement: Option<Placement>,
+}
+
+impl Settings {
+    /// Whether a node runs on this machine.
+    pub(super) fn is_here(&self, node: usize) -> bool {
+        self.placement.as_ref().is_none_or(|placement| placement.is_here(node))
+    }
 }
 
 /// Where a recording goes.
@@ -59,6 +69,8 @@ pub(super) const INITIAL: u64 = u64::MAX;
 pub(super) const STEP: u64 = 0;
 pub(super) const LOSS: u64 = 1;
 pub(super) const CHANGE: u64 = 2;
+/// A step whose output was replaced by the safe one; written like any step.
+pub(super) const REPLACED: u64 = 3;
 /// Words of the record of a change: kind, number of the record, step, parameter, old value, time, new value, who.
 pub(super) const CHANGE_WORDS: usize = 8;
 /// In place of a parameter: the state was put back.
@@ -98,6 +110,40 @@ pub(super) fn output(graph: &Graph, node: usize) -> Topic {
         subscribers: plan.outputs.len(),
         held: if data > 0 { capacity } else { 0 },
     }
+}
+
+/// The channel of a node's output on this machine: those who receive it here, and the link where it crosses.
+pub(super) fn output_here(graph: &Graph, settings: &Settings, node: usize) -> Topic {
+    let topic = output(graph, node);
+    let Some(placement) = &settings.placement else { return topic };
+    let outputs = &graph.nodes()[node].outputs;
+    let here = outputs.iter().filter(|&&connection| placement.is_here(graph.connections()[connection].to));
+    Topic { subscribers: here.count() + usize::from(placement.crosses(graph, node)), ..topic }
+}
+
+/// The channels of a run on this machine, each with how many may send on it: where it crosses, the link does beside the node.
+pub(super) fn channels(graph: &Graph, settings: &Settings) -> Vec<(Topic, usize)> {
+    let mut channels = Vec::new();
+    for node in 0..graph.nodes().len() {
+        let (mut sends, mut records) = (true, settings.recording);
+        let (mut crosses, mut records_cross) = (false, false);
+        if let Some(placement) = &settings.placement {
+            crosses = placement.crosses(graph, node);
+            records_cross = placement.records_cross(node);
+            sends = placement.is_here(node) || crosses;
+            records &= placement.is_here(node) || records_cross;
+        }
+        if sends {
+            channels.push((output_here(graph, settings, node), 1 + usize::from(crosses)));
+        }
+        if records {
+            let topic = self::records(graph, node);
+            // The link reads what it sends itself, too.
+            let subscribers = 1 + usize::from(records_cross && !settings.is_here(node));
+            channels.push((Topic { subscribers, ..topic }, 1 + usize::from(records_cross)));
+        }
+    }
+    channels
 }
 
 /// Words of a message: the head, the leaves, and, for kinds with data, their length in bytes and the room for them.
@@ -158,11 +204,11 @@ pub(super) fn receivers(graph: &Graph, node: usize) -> Vec<usize> {
 }
 
 /// Shared memory that a run takes, in bytes, roughly.
-pub(super) fn memory(graph: &Graph, recording: bool) -> u64 {
-    let nodes = 0..graph.nodes().len();
+pub(super) fn memory(graph: &Graph, settings: &Settings) -> u64 {
     // What iceoryx2 keeps for a participant, a wake-up and the files that describe them.
-    let fixed = nodes.len() as u64 * 512 * 1024;
-    let topic =
-        |node| output(graph, node).memory() + if recording { records(graph, node).memory() } else { 0 };
-    fixed + nodes.map(topic).sum::<u64>()
+    let fixed = graph.nodes().len() as u64 * 512 * 1024;
+    let channels = channels(graph, settings);
+    // Where two may send, each has its own memory; the link's grows by powers of two.
+    let memory = |(topic, senders): &(Topic, usize)| topic.memory() * if *senders > 1 { 3 } else { 1 };
+    fixed + channels.iter().map(memory).sum::<u64>()
 }

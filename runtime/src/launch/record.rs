@@ -5,6 +5,7 @@
 //! again with a new file. About once a second it writes down in shared memory what has reached the disk, so that another
 //! recorder can take over where it died.
 
+use std::collections::BTreeMap;
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -15,17 +16,18 @@ use super::Rotate;
 use super::control::{Answer, Line, Order};
 use super::desk::{self, By};
 use super::error::RunError;
+use super::link::Placement;
 use super::plan::{
-    self, CHANGE, CHANGE_WORDS, CONSUMED, INITIAL, INPUT_HEAD, LOSS, LOSS_WORDS, RESET, STEP, STEP_HEAD,
-    Settings,
+    self, CHANGE, CHANGE_WORDS, CONSUMED, INITIAL, INPUT_HEAD, LOSS, LOSS_WORDS, REPLACED, RESET, STEP,
+    STEP_HEAD, Settings,
 };
 use crate::channel::{Endpoint, Space, Subscriber};
 use crate::data::bytes;
-use crate::graph::Graph;
+use crate::graph::{Graph, NodePlan};
 use crate::node::Consumed;
 use crate::recording::{
-    Access, Change, ChangeKind, Clock, Description, Fault, InputRecord, Loss, RecordingError,
-    RecordingWriter, StepRecord,
+    Access, Change, ChangeKind, Clock, ClockReading, Description, Fault, FaultKind, InputRecord, Loss,
+    RecordingError, RecordingWriter, StepRecord,
 };
 use crate::time::Nanos;
 use crate::tuning::{Parameter, Setting};
@@ -45,6 +47,9 @@ const RETRY: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs
 const SILENCE: Duration = Duration::from_millis(300);
 /// Messages that one record may call lost: more cannot have been under way.
 const MOST_LOST: u64 = 1 << 20;
+/// What is said of what comes as a record and is none.
+const NO_RECORD: &str =
+    "a record has a form that no record has: somebody wrote into the shared memory of the run";
 /// Where the ledger lies in the run's directory.
 const LEDGER: &str = "recorder.json";
 
@@ -115,6 +120,7 @@ pub(super) fn serve(graph: &Graph, settings: &Settings, space: &Space, stream: U
     let ledger = Ledger::read(space, graph.nodes().len());
     let mut scribe = Scribe {
         graph,
+        hosts: hosts(graph, settings),
         space,
         path: &recording.path,
         access: recording.access,
@@ -145,6 +151,7 @@ pub(super) fn serve(graph: &Graph, settings: &Settings, space: &Space, stream: U
             match order {
                 Order::Record { clock } => scribe.begin(clock),
                 Order::Fault { fault } => scribe.fault(&fault),
+                Order::Clocks { readings } => scribe.clocks(&readings),
                 Order::Finish { duration } => finish = Some(duration),
                 _ => {}
             }
@@ -169,6 +176,15 @@ pub(super) fn serve(graph: &Graph, settings: &Settings, space: &Space, stream: U
             return if gone { End::LauncherGone } else { End::Said };
         }
     }
+}
+
+/// The machine of each node, where there are several.
+fn hosts(graph: &Graph, settings: &Settings) -> BTreeMap<String, String> {
+    let names = |placement: &Placement| {
+        let host = |(node, plan): (usize, &NodePlan)| (plan.name.clone(), placement.host_of(node).to_owned());
+        graph.nodes().iter().enumerate().map(host).collect()
+    };
+    settings.placement.as_ref().map(names).unwrap_or_default()
 }
 
 fn refuse(line: &mut Line, reason: String) -> End {
@@ -211,6 +227,8 @@ enum Target {
 /// The recorder's files, and its books.
 struct Scribe<'a> {
     graph: &'a Graph,
+    /// The machine of each node, where there are several.
+    hosts: BTreeMap<String, String>,
     space: &'a Space,
     path: &'a Path,
     access: Access,
@@ -258,7 +276,8 @@ impl Scribe<'_> {
     fn open_next(&mut self) {
         let Some(clock) = self.clock.clone() else { return };
         let path = self.part(self.ledger.files.len());
-        match RecordingWriter::create_for(&path, &Description::new(self.graph, clock), self.access) {
+        let description = Description { hosts: self.hosts.clone(), ..Description::new(self.graph, clock) };
+        match RecordingWriter::create_for(&path, &description, self.access) {
             Ok(writer) => {
                 self.target = Target::File(Box::new(writer), Instant::now());
                 if self.ledger.files.last() != Some(&path) {
@@ -285,6 +304,14 @@ impl Scribe<'_> {
     fn fault(&mut self, fault: &Fault) {
         if let Target::File(file, _) = &mut self.target
             && let Err(error) = file.fault(fault)
+        {
+            self.fail(&error);
+        }
+    }
+
+    fn clocks(&mut self, readings: &[ClockReading]) {
+        if let Target::File(file, _) = &mut self.target
+            && let Err(error) = readings.iter().try_for_each(|reading| file.clock(reading))
         {
             self.fail(&error);
         }
@@ -382,15 +409,23 @@ impl Scribe<'_> {
     fn take(&mut self) -> Result<(), RunError> {
         let mut room = BATCH;
         for (node, Stream { subscriber }) in self.streams.iter().enumerate() {
-            let Ledger { next, lost, .. } = &mut self.ledger;
+            let Ledger { next, lost, unwritten, problem, .. } = &mut self.ledger;
             // Each node has its share of the room, whatever the others send.
             let mut share = room.div_ceil(next.len() - node);
             while share > 0 {
                 let got = subscriber.receive(|words| {
                     let (number, time) = match *words {
-                        [LOSS | STEP | CHANGE, number, _, _, _, time, ..] => (number, time as Nanos),
-                        // Only our own nodes can write here, and both ends were checked to be of one layout.
-                        _ => return,
+                        [LOSS | STEP | CHANGE | REPLACED, number, _, _, _, time, ..] => {
+                            (number, time as Nanos)
+                        }
+                        // Only our own nodes write here, so it stands in the place of one of theirs.
+                        _ => {
+                            next[node] = next[node].saturating_add(1);
+                            unwritten[node] = unwritten[node].saturating_add(1);
+                            *problem = Some(NO_RECORD.into());
+                            share = share.saturating_sub(words.len().max(1));
+                            return;
+                        }
                     };
                     lost[node] = lost[node].saturating_add(number.saturating_sub(next[node]));
                     next[node] = number.saturating_add(1);
@@ -414,17 +449,32 @@ fn write(
     record: &Taken,
 ) -> Result<(), RecordingError> {
     let Taken { node, words, .. } = record;
+    let no_record = || file_refuses(graph, *node);
     if words[0] == CHANGE {
-        let Some(words) = words.get(..CHANGE_WORDS) else { return Ok(()) };
+        let words = words.get(..CHANGE_WORDS).ok_or_else(no_record)?;
         return file.change(&change(graph, space, *node, words));
     }
     if words[0] == LOSS {
-        let Some(words) = words.get(..LOSS_WORDS) else { return Ok(()) };
+        let words = words.get(..LOSS_WORDS).ok_or_else(no_record)?;
         return losses(graph, *node, words).try_for_each(|loss| file.loss(&loss));
     }
-    let Some((step, payload, data)) = step(graph, *node, words) else { return Ok(()) };
+    let (step, payload, data) = step(graph, *node, words).ok_or_else(no_record)?;
+    if words[0] == REPLACED {
+        let node = graph.nodes()[*node].name.clone();
+        file.fault(&Fault { node, time: step.end, kind: FaultKind::Replaced { step: step.seq } })?;
+    }
     file.message_with_data(*node, step.seq, step.end, &payload, data)?;
     file.step_record(*node, &step)
+}
+
+/// What is said of a record that has not the length that it tells.
+fn file_refuses(graph: &Graph, node: usize) -> RecordingError {
+    RecordingError::Unwritable {
+        path: PathBuf::new(),
+        node: graph.nodes()[node].name.clone(),
+        what: "a record".into(),
+        reason: NO_RECORD.into(),
+    }
 }
 
 /// The losses that a record tells of, one for each message.

@@ -17,7 +17,7 @@ use super::settings::RunAs;
 use super::worker::{Program, Worker};
 use crate::channel::{Endpoint, Space};
 use crate::graph::Graph;
-use crate::recording::{Access, Clock, Fault, RecordingError};
+use crate::recording::{Access, Clock, ClockReading, Fault, RecordingError};
 use crate::time::Nanos;
 
 /// How long a recorder that died is left alone, at first; twice as long each time.
@@ -140,6 +140,13 @@ impl<'a> Recorder<'a> {
     /// Something happened to a node. The recorder is told when it is next looked after.
     pub(super) fn fault(&self, fault: Fault) {
         self.unsaid.borrow_mut().push(fault);
+    }
+
+    /// How the clocks of two machines stand to each other: is written, unless the recorder is away in this moment.
+    pub(super) fn clocks(&mut self, readings: Vec<ClockReading>) {
+        if self.state == State::Listening {
+            self.worker.order(&Order::Clocks { readings });
+        }
     }
 
     /// Looks after it: passes on what it has to know, and starts it again when it has died.

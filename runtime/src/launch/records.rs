@@ -2,7 +2,8 @@
 
 use super::desk::Errand;
 use super::plan::{
-    self, CHANGE, CHANGE_WORDS, CONSUMED, INITIAL, INPUT_HEAD, LOSS, LOSS_WORDS, RESET, STEP, STEP_HEAD,
+    self, CHANGE, CHANGE_WORDS, CONSUMED, INITIAL, INPUT_HEAD, LOSS, LOSS_WORDS, REPLACED, RESET, STEP,
+    STEP_HEAD,
 };
 use super::vitals::{Vital, Vitals};
 use crate::channel::{ChannelError, Endpoint, Publisher, Topic};
@@ -21,6 +22,8 @@ pub(super) struct Output<'a> {
     pub(super) leaves: &'a [f64],
     /// The words of its data, where its kind has some: the length, and as many as it takes.
     pub(super) data: &'a [u64],
+    /// Whether it is the safe output, sent in place of what the step gave.
+    pub(super) replaced: bool,
 }
 
 impl Records {
@@ -98,7 +101,7 @@ impl Records {
 
 /// Writes the record of a step where the recorder reads it.
 fn put_step(words: &mut [u64], number: u64, times: [u64; 4], inbox: &Inbox, output: &Output<'_>) {
-    words[0] = STEP;
+    words[0] = if output.replaced { REPLACED } else { STEP };
     words[1] = number;
     words[2..STEP_HEAD].copy_from_slice(&times);
     let mut at = STEP_HEAD;

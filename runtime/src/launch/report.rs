@@ -1,11 +1,13 @@
 //! What a run tells when it is over.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
 use super::event::Event;
-use crate::recording::LossReason;
+use super::link::Crossing;
+use crate::recording::{ClockReading, LossReason};
 use crate::time::{Nanos, to_seconds};
 
 /// How one node fared, over all its restarts.
@@ -17,7 +19,7 @@ pub struct NodeReport {
     pub core: Option<usize>,
     /// Steps that it made.
     pub steps: u64,
-    /// Steps that ended after the next one was due.
+    /// Steps that took longer than a period from when they could begin: due, what they waited for there, the one before over.
     pub overruns: u64,
     /// How much later than it could have a step began: later than both its due time and the arrival of what
     /// it waited for.
@@ -144,6 +146,33 @@ pub enum End {
         /// Its name.
         node: String,
     },
+    /// Another machine's run ended, or it is gone.
+    Host {
+        /// Its name.
+        host: String,
+        /// Why.
+        why: String,
+    },
+    /// The link to the other machines failed.
+    Link {
+        /// How.
+        problem: String,
+    },
+}
+
+/// What became of what crossed between this machine and others.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct LinkReport {
+    /// Every channel that crosses.
+    pub crossings: Vec<Crossing>,
+    /// How the clocks of the other machines stood to this one's at the end.
+    pub clocks: Vec<ClockReading>,
+    /// How often another machine was silent for too long.
+    pub silences: u64,
+    /// How the nodes of other machines ended, as far as they said.
+    pub exits: BTreeMap<String, Exit>,
+    /// What went wrong with the link.
+    pub problem: Option<String>,
 }
 
 /// What became of a recording.
@@ -219,6 +248,9 @@ pub struct RunReport {
     pub events: Vec<Event>,
     /// Events that are not in the list, because there were too many.
     pub events_omitted: u64,
+    /// The link to other machines, if there are some.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub link: Option<LinkReport>,
     /// The recording, if there is one.
     pub recording: Option<RecordingReport>,
     /// Things worth knowing that hinder nothing, such as shared cores.
@@ -228,7 +260,14 @@ pub struct RunReport {
 impl RunReport {
     /// What ended the run before its time, in words: the node, how it ended, and what to look at.
     pub fn failure(&self) -> Option<String> {
-        let End::Node { node } = &self.end else { return None };
+        let node = match &self.end {
+            End::Node { node } => node,
+            End::Host { host, why } => {
+                return Some(format!("machine {host}: {why}. The nodes here were stopped in order"));
+            }
+            End::Link { problem } => return Some(format!("{problem}. The nodes here were stopped in order")),
+            End::Duration | End::Signal => return None,
+        };
         let exit = self.nodes.iter().find(|report| report.node == *node).map(|report| &report.exit)?;
         Some(format!(
             "node {node}: {exit}. The others were stopped in order, and what was recorded is complete"

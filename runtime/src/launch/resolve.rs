@@ -38,7 +38,7 @@ impl LaunchSpec {
         Ok(())
     }
 
-    fn name(&self) -> String {
+    pub(super) fn name(&self) -> String {
         self.file.as_ref().map_or("launch settings".into(), |file| file.display().to_string())
     }
 
@@ -111,7 +111,7 @@ impl NodeLaunch {
             ($($field:ident)*) => { $(if other.$field.is_some() { self.$field = other.$field.clone(); })* };
         }
         take!(run_as core policy priority lock_memory wait spin restart restart_delay restart_delay_max restart_limit);
-        take!(heartbeat on_hang deadline on_deadline on_non_finite stop_after_crash safe interpreter);
+        take!(heartbeat on_hang deadline on_deadline on_non_finite stop_after_crash safe interpreter host);
     }
 
     /// Loses every setting that `other` has.
@@ -120,7 +120,7 @@ impl NodeLaunch {
             ($($field:ident)*) => { $(if other.$field.is_some() { self.$field = None; })* };
         }
         forget!(run_as core policy priority lock_memory wait spin restart restart_delay restart_delay_max restart_limit);
-        forget!(heartbeat on_hang deadline on_deadline on_non_finite stop_after_crash safe interpreter);
+        forget!(heartbeat on_hang deadline on_deadline on_non_finite stop_after_crash safe interpreter host);
     }
 
     /// What is wrong with these settings by themselves.

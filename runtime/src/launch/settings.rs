@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use parallax_model::system::Suggestion;
 use serde::{Deserialize, Serialize};
 
+use super::link::{HostSpec, LinkSpec};
 use crate::graph::SafeValue;
 use crate::time::Nanos;
 
@@ -46,6 +47,12 @@ pub struct LaunchSpec {
     /// Settings of single nodes, by name.
     #[serde(rename = "node", default)]
     pub nodes: BTreeMap<String, NodeLaunch>,
+    /// The machines that the graph runs on, by name; none for a graph on one machine.
+    #[serde(rename = "host", default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub hosts: BTreeMap<String, HostSpec>,
+    /// How they are connected.
+    #[serde(default)]
+    pub link: LinkSpec,
     /// The file it was read from, for messages.
     #[serde(skip)]
     pub file: Option<PathBuf>,
@@ -157,6 +164,9 @@ pub enum OnNonFinite {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NodeLaunch {
+    /// The machine it runs on, where there are several.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub host: Option<String>,
     /// Process or thread.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub run_as: Option<RunAs>,

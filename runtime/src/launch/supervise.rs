@@ -173,8 +173,8 @@ impl Crew<'_> {
                 Answer::Failed { reason } => failed = Some(Exit::Failed { reason }),
                 // What was set again: nobody waits for the answer.
                 Answer::Tuned { .. } => {}
-                // Only a recorder says these.
-                Answer::Listening | Answer::Recorded { .. } => {}
+                // Only a recorder or the link says these.
+                Answer::Listening | Answer::Recorded { .. } | Answer::Link { .. } => {}
                 Answer::Done { exit, .. } => failed = Some(exit),
             }
         }
@@ -286,9 +286,18 @@ impl Crew<'_> {
     /// Tells the receivers of a node that it is gone or hangs.
     fn tell_gone(&mut self, node: usize, back: bool) {
         let name = self.site.graph.nodes()[node].name.clone();
-        let next = self.members[node].vitals.get(Vital::Next);
+        let next = self.next_of(node);
         for receiver in plan::receivers(self.site.graph, node) {
             self.members[receiver].worker.order(&Order::SenderGone { node: name.clone(), next, back });
+        }
+    }
+
+    /// The message that a node which is gone did not send any more, as far as that is known.
+    fn next_of(&self, node: usize) -> u64 {
+        match self.site.settings.is_here(node) {
+            true => self.members[node].vitals.get(Vital::Next),
+            // What is known of a node on another machine is older than what has come from it.
+            false => u64::MAX,
         }
     }
 
@@ -300,7 +309,7 @@ impl Crew<'_> {
             if sender.state == State::Up && sender.silent.is_none() {
                 continue;
             }
-            let (name, next) = (self.site.graph.nodes()[from].name.clone(), sender.vitals.get(Vital::Next));
+            let (name, next) = (self.site.graph.nodes()[from].name.clone(), self.next_of(from));
             let back = sender.state != State::Over;
             self.members[node].worker.order(&Order::SenderGone { node: name, next, back });
         }

@@ -30,7 +30,7 @@ pub(super) enum Vital {
     Steps,
     /// Messages sent.
     Sent,
-    /// Steps that ended after the next one was due.
+    /// Steps that took longer than a period from when they could begin.
     Overruns,
     /// Steps that ended after their deadline.
     Late,
@@ -128,6 +128,14 @@ impl Vitals {
             computation: durations("computation")?,
             delays: (0..inputs).map(|input| durations(&format!("delay{input}"))).collect::<Result<_, _>>()?,
         })
+    }
+
+    /// All pages of the node, the one with its [vitals](Vital) first.
+    #[cfg(feature = "link")]
+    pub(super) fn pages(&self) -> impl Iterator<Item = &[AtomicU64]> {
+        let durations = [&self.lateness, &self.computation].into_iter().chain(&self.delays);
+        let pages = [&self.page].into_iter().chain(&self.inputs).chain(durations.map(|counts| &counts.page));
+        pages.map(SharedPage::cells)
     }
 
     pub(super) fn get(&self, vital: Vital) -> u64 {

@@ -29,6 +29,8 @@ pub(super) struct Worker {
 enum Body {
     Process(Child),
     Thread(Option<JoinHandle<()>>),
+    /// It runs on another machine; somebody here speaks for it.
+    Elsewhere,
 }
 
 /// What a process runs.
@@ -93,11 +95,16 @@ impl Worker {
         Ok(Self { node: node.into(), line: Line::new(here), body: Body::Thread(Some(handle)), ended: None })
     }
 
+    /// A node of another machine, for which somebody speaks at the other end of the line.
+    pub(super) fn elsewhere(node: &str, stream: UnixStream) -> Self {
+        Self { node: node.into(), line: Line::new(stream), body: Body::Elsewhere, ended: None }
+    }
+
     /// Its process, when it is one.
     pub(super) fn pid(&self) -> Option<u32> {
         match &self.body {
             Body::Process(child) => Some(child.id()),
-            Body::Thread(_) => None,
+            Body::Thread(_) | Body::Elsewhere => None,
         }
     }
 
@@ -151,6 +158,8 @@ impl Worker {
                 };
                 Some(Exit::Died { pid: None, status })
             }
+            // Nobody here could wait for it.
+            Body::Elsewhere => self.line.closed().then_some(Exit::Clean),
         }
     }
 
@@ -195,6 +204,7 @@ impl Drop for Worker {
             Body::Thread(_) => {
                 self.join(Duration::from_secs(2));
             }
+            Body::Elsewhere => {}
         }
     }
 }

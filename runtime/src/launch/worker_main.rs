@@ -13,6 +13,8 @@ use std::time::{Duration, Instant};
 use super::control::{Answer, Line, Order, readable};
 use super::desk::{Face, Front};
 use super::error::RunError;
+#[cfg(feature = "link")]
+use super::link;
 use super::orders::Orders;
 use super::plan::{self, RUN_FILE, RunFile, Settings};
 use super::priority::Raised;
@@ -51,14 +53,19 @@ pub const NODE_COMMAND: &str = "__node";
 /// ```
 pub fn node_main(arguments: impl Iterator<Item = String>, registry: &Registry) -> ExitCode {
     let (graph, index, settings, space, stream, stop_only) = match prepare(arguments, registry) {
-        Ok(Prepared { graph, settings, space, stream, index: None, .. }) => {
+        #[cfg(feature = "link")]
+        Ok(Prepared { graph, settings, space, stream, role: Role::Link, .. }) => {
+            link::serve(&graph, &settings, &space, stream);
+            return ExitCode::SUCCESS;
+        }
+        Ok(Prepared { graph, settings, space, stream, role: Role::Recorder, .. }) => {
             record::bear_full_files();
             if record::serve(&graph, &settings, &space, stream) == record::End::LauncherGone {
                 leave(&space);
             }
             return ExitCode::SUCCESS;
         }
-        Ok(Prepared { graph, index: Some(index), settings, space, stream, stop_only }) => {
+        Ok(Prepared { graph, role: Role::Node(index), settings, space, stream, stop_only }) => {
             (graph, index, settings, space, stream, stop_only)
         }
         Err(error) => {
@@ -105,12 +112,21 @@ fn stop_after_crash(graph: &Graph, index: usize, settings: &Settings) -> bool {
 /// What a node process knows before it does anything.
 struct Prepared {
     graph: Graph,
-    /// Which node it is; none for the recorder.
-    index: Option<usize>,
+    role: Role,
     settings: Settings,
     space: Space,
     stream: UnixStream,
     stop_only: bool,
+}
+
+/// What a process of a run does.
+enum Role {
+    /// It runs the node with this place in the graph.
+    Node(usize),
+    Recorder,
+    /// It is the link to other machines.
+    #[cfg(feature = "link")]
+    Link,
 }
 
 fn prepare(arguments: impl Iterator<Item = String>, registry: &Registry) -> Result<Prepared, RunError> {
@@ -128,12 +144,15 @@ fn prepare(arguments: impl Iterator<Item = String>, registry: &Registry) -> Resu
     let file = space.read(RUN_FILE)?;
     let RunFile { graph, settings } = serde_json::from_slice(&file).map_err(|e| refuse(e.to_string()))?;
     let graph = graph.validate(registry)?;
-    let index = match graph.index(node) {
-        None if node != record::NAME => return Err(refuse(format!("the graph has no node {node}"))),
-        index => index,
+    let role = match graph.index(node) {
+        Some(index) => Role::Node(index),
+        None if node == record::NAME => Role::Recorder,
+        #[cfg(feature = "link")]
+        None if node == link::NAME => Role::Link,
+        None => return Err(refuse(format!("the graph has no node {node}"))),
     };
     name_process(node);
-    Ok(Prepared { graph, index, settings, space, stream, stop_only })
+    Ok(Prepared { graph, role, settings, space, stream, stop_only })
 }
 
 /// Takes the line to the launcher away from standard input, so that no process that the node starts holds it.
@@ -320,7 +339,7 @@ fn work(
         match queue.next(1000) {
             Some(Some(Order::Connect)) => {
                 let (receivers, recorders) =
-                    stepper.connect(graph, index, &endpoint).map_err(|e| e.to_string())?;
+                    stepper.connect(graph, index, settings, &endpoint).map_err(|e| e.to_string())?;
                 answers.send(&Answer::Connected { receivers, recorders });
             }
             Some(Some(Order::Start { epoch, resume })) => {
@@ -335,12 +354,14 @@ fn work(
             Some(Some(Order::Tune { id, by, wish })) => {
                 front.take(id, by, &wish).iter().for_each(|answer| answers.send(answer));
             }
-            // What is for a recorder is for nobody here.
+            // What is for a recorder or the link is for nobody here.
             Some(
                 Some(
                     Order::SenderGone { .. }
                     | Order::Record { .. }
                     | Order::Fault { .. }
+                    | Order::Clocks { .. }
+                    | Order::Link { .. }
                     | Order::Finish { .. },
                 )
                 | None,

@@ -200,6 +200,8 @@ impl Log {
             losses: Vec::new(),
             faults: Vec::new(),
             changes: Vec::new(),
+            hosts: Default::default(),
+            clocks: Vec::new(),
             truncated: None,
         }
     }

@@ -25,6 +25,9 @@ pub struct Description {
     pub clock: Clock,
     /// The nodes whose messages and steps are recorded, in order.
     pub nodes: Vec<NodeDescription>,
+    /// The machine of each node, where there are several.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub hosts: BTreeMap<String, String>,
 }
 
 /// A node of a recording.
@@ -59,7 +62,7 @@ impl Description {
             stand_in: node.kind.is_stand_in(),
             data: node.kind.data_capacity(),
         });
-        Self { graph: graph.spec().clone(), clock, nodes: nodes.collect() }
+        Self { graph: graph.spec().clone(), clock, nodes: nodes.collect(), hosts: BTreeMap::new() }
     }
 }
 

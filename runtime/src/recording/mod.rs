@@ -9,11 +9,14 @@ pub(crate) mod container;
 mod convert;
 mod description;
 mod error;
+mod join;
 pub mod log;
 mod reader;
 pub mod ros2msg;
 mod shape;
 mod writer;
+
+use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
@@ -28,6 +31,7 @@ pub use convert::IMPORTED_SIGNAL;
 pub(crate) use description::DESCRIPTION;
 pub use description::{Description, NodeDescription};
 pub use error::RecordingError;
+pub use join::{JoinError, join};
 pub use writer::{RecordingWriter, write};
 
 /// The messages and the schedule of one run.
@@ -47,8 +51,39 @@ pub struct Recording {
     pub faults: Vec<Fault>,
     /// What was set and reset from outside while the run went on, in the order in which the nodes saw it.
     pub changes: Vec<Change>,
+    /// The machine of each node, by node, where the graph ran on several. The times of a node are those of its machine's run
+    /// clock; when a message was sent is stated by its receiver, on the receiver's clock.
+    pub hosts: BTreeMap<String, String>,
+    /// How the clocks of those machines stood to each other, as it was estimated while the run went on.
+    pub clocks: Vec<ClockReading>,
     /// When the file that it was read from lacks its end: where it stops. The recording is then only its beginning.
     pub truncated: Option<String>,
+}
+
+/// How the clock of another machine stood to one's own, at one time.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ClockReading {
+    /// The machine that estimated it.
+    pub host: String,
+    /// The other one.
+    pub other: String,
+    /// When, on the run clock of `host`, ns.
+    pub time: Nanos,
+    /// How far the run clock of `other` was ahead of that of `host`, ns.
+    pub ahead: Nanos,
+    /// `ahead` is no further from the truth than this, ns: it follows from the round trips, whatever the network did.
+    pub bound: Nanos,
+    /// How much faster the clock of `other` ran, seconds per second.
+    pub skew: f64,
+    /// `skew` is no further from the truth than this.
+    pub skew_bound: f64,
+    /// The shortest round trip that this rests on, ns.
+    pub round_trip: Nanos,
+    /// What the monotonic clock of `other` showed more than that of `host`, ns.
+    pub offset: Nanos,
+    /// Exchanges so far.
+    pub exchanges: u64,
 }
 
 /// The clock that drove a run.
@@ -212,7 +247,7 @@ impl LossReason {
     }
 }
 
-/// A node that ended before the run did, or that was started again after that.
+/// A node that ended before the run did, that was started again after that, or whose output was replaced.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Fault {
@@ -224,7 +259,7 @@ pub struct Fault {
     pub kind: FaultKind,
 }
 
-/// Why a node ended early.
+/// What went wrong with a node.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum FaultKind {
@@ -242,6 +277,11 @@ pub enum FaultKind {
     Died {
         /// How, as the operating system tells it.
         message: String,
+    },
+    /// What a step gave was too late, or no numbers: its safe output was sent in its place.
+    Replaced {
+        /// The step.
+        step: u64,
     },
     /// It was started again after it had ended, with a fresh state.
     Restarted {
@@ -430,6 +470,8 @@ impl MemorySink {
                 losses: Vec::new(),
                 faults: Vec::new(),
                 changes: Vec::new(),
+                hosts: BTreeMap::new(),
+                clocks: Vec::new(),
                 truncated: None,
             },
         }
@@ -478,6 +520,19 @@ impl RecordingSink for MemorySink {
 }
 
 impl Recording {
+    /// Whether messages from one node to the other went from one machine to another.
+    pub fn crosses(&self, from: &str, to: &str) -> bool {
+        self.hosts.get(from) != self.hosts.get(to)
+    }
+
+    /// The largest bound of an estimate of how the clocks of these nodes' machines stood to each other, made by the receiver's,
+    /// ns; `None` where their messages do not cross, or nothing is known.
+    pub fn clock_bound(&self, from: &str, to: &str) -> Option<Nanos> {
+        let (from, to) = (self.hosts.get(from)?, self.hosts.get(to)?);
+        let of = self.clocks.iter().filter(|reading| reading.host == *to && reading.other == *from);
+        of.map(|reading| reading.bound).max().filter(|_| from != to)
+    }
+
     /// What the node called `name` did.
     pub fn node(&self, name: &str) -> Option<&NodeTrack> {
         self.nodes.iter().find(|track| track.name == name)

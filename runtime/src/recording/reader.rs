@@ -210,6 +210,8 @@ impl<'a> Reader<'a> {
             losses: vec![],
             faults: vec![],
             changes: vec![],
+            hosts: file.description.hosts,
+            clocks: vec![],
             truncated: None,
         });
         Ok(())
@@ -223,7 +225,7 @@ impl<'a> Reader<'a> {
             return Ok(());
         };
         let node = match content {
-            Content::Losses | Content::Faults | Content::Changes => 0,
+            Content::Losses | Content::Faults | Content::Changes | Content::Clocks => 0,
             Content::Messages | Content::Steps => {
                 let name = channel.metadata.get(NODE).map_or("", String::as_str);
                 recording.nodes.iter().position(|track| track.name == name).ok_or_else(|| {
@@ -261,6 +263,7 @@ impl<'a> Reader<'a> {
             Content::Losses => recording.losses.push(note(data).map_err(fail)?),
             Content::Faults => recording.faults.push(note(data).map_err(fail)?),
             Content::Changes => recording.changes.push(note(data).map_err(fail)?),
+            Content::Clocks => recording.clocks.push(note(data).map_err(fail)?),
         }
         Ok(())
     }

@@ -16,8 +16,8 @@ use super::error::RecordingError;
 use super::ros2msg::{self, Schema};
 use super::shape::Shape;
 use super::{
-    Access, Change, Consumed, Fault, Loss, MessageRecord, NodeTrack, Recording, RecordingSink, SinkError,
-    StepRecord, StepView,
+    Access, Change, ClockReading, Consumed, Fault, Loss, MessageRecord, NodeTrack, Recording, RecordingSink,
+    SinkError, StepRecord, StepView,
 };
 use crate::data::Data;
 use crate::time::Nanos;
@@ -46,6 +46,8 @@ pub struct RecordingWriter {
     losses: u16,
     faults: u16,
     changes: u16,
+    /// Only where the graph runs on several machines.
+    clocks: Option<u16>,
     notes: u32,
     origin: Nanos,
     /// Log time of the first message of the open chunk.
@@ -71,11 +73,18 @@ pub(super) enum Content {
     Losses,
     Faults,
     Changes,
+    Clocks,
 }
 
 impl Content {
-    pub(super) const ALL: [Content; 5] =
-        [Content::Messages, Content::Steps, Content::Losses, Content::Faults, Content::Changes];
+    pub(super) const ALL: [Content; 6] = [
+        Content::Messages,
+        Content::Steps,
+        Content::Losses,
+        Content::Faults,
+        Content::Changes,
+        Content::Clocks,
+    ];
 
     pub(super) fn name(self) -> &'static str {
         match self {
@@ -84,6 +93,7 @@ impl Content {
             Content::Losses => "losses",
             Content::Faults => "faults",
             Content::Changes => "changes",
+            Content::Clocks => "clocks",
         }
     }
 }
@@ -172,6 +182,10 @@ impl RecordingWriter {
         let losses = channels.add("/parallax/losses", &note, Content::Losses, &[]).map_err(fail)?;
         let faults = channels.add("/parallax/faults", &note, Content::Faults, &[]).map_err(fail)?;
         let changes = channels.add("/parallax/changes", &note, Content::Changes, &[]).map_err(fail)?;
+        let clocks = match description.hosts.is_empty() {
+            true => None,
+            false => Some(channels.add("/parallax/clocks", &note, Content::Clocks, &[]).map_err(fail)?),
+        };
         // The channels get a chunk of their own at the front: damage further on then leaves the rest readable.
         mcap.flush().map_err(fail)?;
         let cdr = CdrWriter::default();
@@ -183,6 +197,7 @@ impl RecordingWriter {
             losses,
             faults,
             changes,
+            clocks,
             notes: 0,
             origin,
             chunk_start: None,
@@ -305,6 +320,18 @@ impl RecordingWriter {
     /// As [`message`](RecordingWriter::message).
     pub fn change(&mut self, change: &Change) -> Result<(), RecordingError> {
         self.note(self.changes, change.time, change)
+    }
+
+    /// Writes how the clocks of two machines stood to each other; nothing, if the description names no machines.
+    ///
+    /// # Errors
+    ///
+    /// As [`message`](RecordingWriter::message).
+    pub fn clock(&mut self, reading: &ClockReading) -> Result<(), RecordingError> {
+        match self.clocks {
+            Some(channel) => self.note(channel, reading.time, reading),
+            None => Ok(()),
+        }
     }
 
     fn note(&mut self, channel: u16, time: Nanos, note: &impl Serialize) -> Result<(), RecordingError> {
@@ -488,6 +515,7 @@ pub fn write(path: &Path, recording: &Recording) -> Result<(), RecordingError> {
                 data: track.messages.iter().map(|message| message.data.len()).max().unwrap_or(0),
             })
             .collect(),
+        hosts: recording.hosts.clone(),
     };
     let records = in_order(&recording.nodes);
     let origin = records.iter().map(|record| record.time).min().unwrap_or(0).min(0);
@@ -503,6 +531,7 @@ pub fn write(path: &Path, recording: &Recording) -> Result<(), RecordingError> {
     recording.losses.iter().try_for_each(|loss| writer.loss(loss))?;
     recording.faults.iter().try_for_each(|fault| writer.fault(fault))?;
     recording.changes.iter().try_for_each(|change| writer.change(change))?;
+    recording.clocks.iter().try_for_each(|reading| writer.clock(reading))?;
     writer.finish(recording.duration)
 }
 

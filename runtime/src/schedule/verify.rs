@@ -270,6 +270,8 @@ impl<'a> Feed<'a> {
             for consumed in &recorded.consumed {
                 if let (Some(sender), Some(seq)) = (self.senders[input], consumed.seq)
                     && let Some(message) = sender.message(seq)
+                    // On another machine's clock it was another time.
+                    && !self.crosses(input)
                     && message.sent != consumed.sent
                 {
                     return Err(DeviationKind::Sent {
@@ -283,6 +285,13 @@ impl<'a> Feed<'a> {
         }
         self.gate.end(step.end).map_err(|e| impossible(&e))?;
         Ok(step.start - earliest)
+    }
+
+    /// Whether the messages of an input came from another machine.
+    fn crosses(&self, input: usize) -> bool {
+        let nodes = self.graph.nodes();
+        let from = self.graph.connections()[nodes[self.index].inputs[input]].from;
+        self.recording.crosses(&nodes[from].name, &nodes[self.index].name)
     }
 
     /// When the next step may start. A sender that ended during the run is taken for dead when the step did not wait for
@@ -308,7 +317,11 @@ impl<'a> Feed<'a> {
                     let connection = self.graph.nodes()[self.index].inputs[input];
                     let sender = &self.graph.nodes()[self.graph.connections()[connection].from].name;
                     let simulated = matches!(self.recording.clock, Clock::Simulated { .. });
-                    let died = |fault: &Fault| fault.node == *sender && (fault.time <= start || !simulated);
+                    let died = |fault: &Fault| {
+                        fault.node == *sender
+                            && !matches!(fault.kind, FaultKind::Replaced { .. })
+                            && (fault.time <= start || !simulated)
+                    };
                     if !self.recording.faults.iter().any(died) {
                         return Err(DeviationKind::NotReady { wait: Wait::Message { input, seq } });
                     }

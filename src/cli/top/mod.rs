@@ -159,6 +159,8 @@ fn over(last: &Snapshot) -> String {
         (Some(End::Duration), _) => "its time was over".into(),
         (Some(End::Signal), _) => "somebody stopped it".into(),
         (Some(End::Node { node }), _) => format!("node {node} ended"),
+        (Some(End::Host { .. }), _) => "another machine ended, or is gone".into(),
+        (Some(End::Link { .. }), _) => "the link to the other machines failed".into(),
     };
     format!("{} ({}) has ended after {:.1} s: {why}", last.graph, last.run, to_seconds(last.elapsed.max(0)))
 }

@@ -7,6 +7,7 @@ use crate::channel::{ChannelError, Subscriber};
 use crate::clock::WallClock;
 use crate::data::Data;
 use crate::graph::OnDeadSender;
+use crate::launch::link::ClockPage;
 use crate::launch::orders::Orders;
 use crate::launch::plan::{DATA_HEAD, MESSAGE_HEAD, data_words};
 use crate::launch::vitals::{InputVital, Vitals};
@@ -18,6 +19,8 @@ pub(super) struct Input {
     pub(super) sender_name: String,
     pub(super) sender_grid: Grid,
     pub(super) sender_vitals: Vitals,
+    /// How the clock of the sender's machine stands to this one's, where it is another.
+    pub(super) clock: Option<ClockPage>,
     pub(super) subscriber: Subscriber,
     /// The leaves of the last message.
     pub(super) values: Box<[f64]>,
@@ -119,6 +122,10 @@ impl Stepper {
                 }
                 any = true;
                 let [seq, sent] = head;
+                let sent = match &self.inputs[index].clock {
+                    None => sent,
+                    Some(clock) => clock.here(sent as Nanos, received) as u64,
+                };
                 if !fits || !self.plausible(index, seq, received) {
                     // Garbage of one node must not end another.
                     let first = seq.min(u64::MAX - 1);

@@ -14,6 +14,7 @@ mod output;
 use intake::{Input, Taken};
 use output::Room;
 
+use super::link::{self, ClockPage};
 use super::orders::Orders;
 use super::plan::{self, MESSAGE_HEAD, Settings};
 use super::records::{Output, Records};
@@ -101,6 +102,12 @@ impl Stepper {
                 sender_name: sender.name.clone(),
                 sender_grid: sender.grid,
                 sender_vitals: Vitals::open(run, &sender.name, sender.inputs.len())?,
+                clock: match &settings.placement {
+                    Some(placement) if !placement.is_here(connection.from) => {
+                        Some(ClockPage::open(run, placement.host_of(connection.from))?)
+                    }
+                    _ => None,
+                },
                 subscriber: endpoint.open(&plan::output(graph, connection.from))?.subscriber()?,
                 values: vec![0.0; connection.leaves].into(),
                 capacity: connection.data,
@@ -126,7 +133,7 @@ impl Stepper {
             inbox: Inbox::new(graph, index),
             inputs: inputs.into(),
             listener: endpoint.listener(&plan::wake(graph, index))?,
-            output: endpoint.open(&plan::output(graph, index))?.publisher()?,
+            output: endpoint.open(&plan::output_here(graph, settings, index))?.publisher()?,
             wakers: Vec::new(),
             records,
             room: Room::new(plan.kind.output().leaves.len(), plan.kind.data_capacity()),
@@ -148,10 +155,16 @@ impl Stepper {
         &mut self,
         graph: &Graph,
         index: usize,
+        settings: &Settings,
         endpoint: &Endpoint,
     ) -> Result<(usize, usize), ChannelError> {
         for receiver in plan::receivers(graph, index) {
-            self.wakers.push(endpoint.waker(&plan::wake(graph, receiver))?);
+            if settings.is_here(receiver) {
+                self.wakers.push(endpoint.waker(&plan::wake(graph, receiver))?);
+            }
+        }
+        if settings.placement.as_ref().is_some_and(|placement| placement.crosses(graph, index)) {
+            self.wakers.push(endpoint.waker(link::WAKE)?);
         }
         let recorders = self.records.as_ref().map_or(Ok(0), |records| records.publisher.connect())?;
         Ok((self.output.connect()?, recorders))
@@ -287,6 +300,7 @@ impl Stepper {
         self.room.step(&mut *self.node, &step, &mut self.values, large.as_deref_mut()).map_err(failed)?;
         let end = clock.now();
         let replace = self.settings.judge(&self.vitals, &self.leaves, &self.values, seq, end - earliest)?;
+        let replaced = replace && self.safe.is_some();
         match &self.safe {
             Some(safe) if replace => {
                 safe.write_over(&mut self.sent);
@@ -307,19 +321,20 @@ impl Stepper {
                 })?;
                 wakers.iter().for_each(|waker| _ = waker.wake());
                 if let Some(records) = records {
-                    records.step(times, &self.inbox, &Output { leaves: values, data: &[] }, &self.vitals)?;
+                    let output = Output { leaves: values, data: &[], replaced };
+                    records.step(times, &self.inbox, &output, &self.vitals)?;
                 }
                 delivered
             }
             Some(mut message) => {
-                self.room.head(&mut message, [seq, end as u64], values, replace);
+                self.room.head(&mut message, [seq, end as u64], values, replaced);
                 let mut recorded = Ok(());
                 // SAFETY: nothing in there begins or sends a message of the node's output.
                 let delivered = unsafe {
                     message.send_then(|words| {
                         wakers.iter().for_each(|waker| _ = waker.wake());
                         if let Some(records) = records {
-                            let output = Output { leaves: values, data: self.room.data(words) };
+                            let output = Output { leaves: values, data: self.room.data(words), replaced };
                             recorded = records.step(times, &self.inbox, &output, &self.vitals);
                         }
                     })
@@ -333,11 +348,12 @@ impl Stepper {
         if undelivered > 0 {
             self.vitals.add(Vital::Undelivered, undelivered as u64);
         }
-        let shift = self.inbox.gate().shift();
         self.inbox.end(end)?;
         self.vitals.set(Vital::Stepping, 0);
         self.vitals.add(Vital::Steps, 1);
-        if end > self.inbox.gate().due().saturating_add(shift) {
+        // A step that waited for a message, or for the one before, is not to blame for that.
+        let period = self.inbox.gate().due().saturating_sub(due);
+        if end.saturating_sub(earliest) > period {
             self.vitals.add(Vital::Overruns, 1);
         }
         self.vitals.lateness.add(start - earliest);
