@@ -6,7 +6,6 @@
 mod command;
 
 use std::fs;
-use std::io::Write;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
@@ -144,8 +143,7 @@ impl Run {
 fn graph() -> String {
     let mut spec = parallax::nodes::graph("pendulum").unwrap();
     spec.name = "pendulum-far".into();
-    let text = spec.to_toml().unwrap();
-    text
+    spec.to_toml().unwrap()
 }
 
 fn settings(link: &str) -> String {
@@ -318,6 +316,26 @@ fn a_machine_that_is_gone_ends_the_run_and_the_recording_is_kept() {
     let recording = Recording::read(cable.path("run.mcap")).unwrap();
     assert!(recording.truncated.is_none() && recording.node("motor").unwrap().steps.len() > 10);
     assert!(to_seconds(recording.duration) < 50.0);
+}
+
+#[test]
+fn a_link_that_is_killed_ends_the_run_on_both_machines() {
+    let cable = Cable::lay();
+    let plant = cable.start("plant", &["--duration", "60"]);
+    let desk = cable.start("desk", &["--duration", "60"]);
+    until_recorded(&cable.path("run.mcap"));
+    let launcher = desk.0.as_ref().unwrap().id();
+    let children = fs::read_to_string(format!("/proc/{launcher}/task/{launcher}/children")).unwrap();
+    let is_link = |pid: &&str| {
+        let line = fs::read_to_string(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+        line.contains("@link")
+    };
+    let link = children.split_whitespace().find(is_link).expect("the link is a process of its own");
+    assert!(Command::new("kill").args(["-KILL", link]).status().unwrap().success());
+    let ((_, code, errors), (_, plant_code, plant_errors)) = (desk.report(), plant.report());
+    assert_eq!((code, plant_code), (Some(3), Some(3)), "{errors}\n{plant_errors}");
+    assert!(errors.contains("the link to the other machines ended: process"), "{errors}");
+    assert!(plant_errors.contains("machine desk: it has been silent"), "{plant_errors}");
 }
 
 #[test]

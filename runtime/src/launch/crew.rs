@@ -290,6 +290,10 @@ impl<'a> Crew<'a> {
         bridge.tell_exits(exits);
         let turns = match bridge.look() {
             Ok(turns) => turns,
+            Err(RunError::Link { reason }) => {
+                let problem = format!("the link to the other machines ended: {reason}");
+                return Some(End::Link { problem });
+            }
             Err(error) => return Some(End::Link { problem: error.to_string() }),
         };
         let mut end = None;

@@ -15,7 +15,7 @@ use zenoh::Wait;
 use zenoh::qos::Priority;
 use zenoh::sample::Locality;
 
-use super::carrier::{Books, Counted};
+use super::carrier::{Books, Counted, MESSAGES, RECORDS};
 use super::clock::{Estimate, Offsets};
 use super::hosts::{Placement, secret};
 use super::mirror::Mirror;
@@ -104,11 +104,11 @@ fn work(
     let mut nodes = Vec::new();
     for node in 0..graph.nodes().len() {
         if placement.crosses(graph, node) {
-            topics.push((plan::output(graph, node), 0));
+            topics.push((plan::output(graph, node), MESSAGES));
             nodes.push(Some(node));
         }
         if placement.records_cross(node) {
-            topics.push((plan::records(graph, node), 1));
+            topics.push((plan::records(graph, node), RECORDS));
             nodes.push(None);
         }
     }
@@ -138,7 +138,7 @@ fn work(
     helper.map_err(|e| format!("a thread cannot be started: {e}"))?;
     link.discover().map_err(|e| format!("the channels cannot be joined: {e}"))?;
     let ear: Ear = Arc::new(placement.hosts.iter().map(|_| Mutex::default()).collect());
-    let _ears = listen(&session, placement, &ear)?;
+    let _ears = listen(&session, placement, &ear, &books)?;
     let pages = graph.nodes().iter().map(|node| Vitals::open(space.path(), &node.name, node.inputs.len()));
     let pages = pages.collect::<Result<Vec<_>, _>>().map_err(|e| e.to_string())?;
     let clocks = placement.hosts.iter().map(|host| ClockPage::open(space.path(), &host.name));
@@ -160,6 +160,7 @@ fn work(
         peers: placement.hosts.iter().map(|_| Peer::default()).collect(),
         told_ready: false,
         told_begin: false,
+        receipt: Vec::new(),
         why: String::new(),
         due: Due::new(),
     };
@@ -209,12 +210,14 @@ fn work(
                 wakers.iter().for_each(|waker| _ = waker.wake());
             }
         }
+        post.receipts(&books);
         post.turn(line)?;
         let Some(since) = over else { continue };
         if !matches!(post.state.stage, Stage::Over { .. }) {
             // What the nodes left in the channels goes out first.
             let now = books.moved();
-            if now == moved && since.elapsed() > 4 * NAP {
+            if now == moved && since.elapsed() > 4 * NAP && (books.kept() == 0 || since.elapsed() > ENDING.0)
+            {
                 post.last_words();
             }
             moved = now;
@@ -306,7 +309,12 @@ fn open(graph: &Graph, placement: &Placement, space: &Space) -> Result<zenoh::Se
 type Ears = Vec<zenoh::pubsub::Subscriber<()>>;
 
 /// Takes in what the other machines say.
-fn listen(session: &zenoh::Session, placement: &Placement, ear: &Ear) -> Result<Ears, String> {
+fn listen(
+    session: &zenoh::Session,
+    placement: &Placement,
+    ear: &Ear,
+    books: &Arc<Books>,
+) -> Result<Ears, String> {
     let me = placement.my_name().to_owned();
     let names: Arc<Vec<String>> = Arc::new(placement.hosts.iter().map(|host| host.name.clone()).collect());
     let from = move |key: &str, names: &[String]| {
@@ -360,6 +368,15 @@ fn listen(session: &zenoh::Session, placement: &Placement, ear: &Ear) -> Result<
             }
         };
         ears.push(("pages/*".into(), Box::new(pages)));
+    }
+    {
+        let (names, books, recorder) = (Arc::clone(&names), Arc::clone(books), placement.recorder);
+        let receipts = move |sample: zenoh::sample::Sample| {
+            if from(sample.key_expr().as_str(), &names).is_some_and(|host| Some(host) == recorder) {
+                books.acknowledge(&sample.payload().to_bytes());
+            }
+        };
+        ears.push(("receipt/*".into(), Box::new(receipts)));
     }
     let declare = |(key, callback): (String, Box<dyn Fn(zenoh::sample::Sample) + Send + Sync>)| {
         let subscriber = session.declare_subscriber(key).callback(callback).allowed_origin(Locality::Remote);
@@ -416,6 +433,8 @@ struct Post<'a> {
     peers: Vec<Peer>,
     told_ready: bool,
     told_begin: bool,
+    /// Which records had arrived here when that was told last.
+    receipt: Vec<u8>,
     why: String,
     due: Due,
 }
@@ -468,10 +487,12 @@ impl Post<'_> {
     /// Says how far this machine is, and what its nodes do.
     fn say(&mut self, all: bool) {
         let Ok(state) = serde_json::to_vec(&self.state) else { return };
-        // What does not arrive is said again.
-        let _ = self.session.put(format!("state/{}", self.placement.my_name()), state).express(true).wait();
+        // What does not arrive is said again. Not in the queue of messages, of which each urgent word would take a place.
+        let put = self.session.put(format!("state/{}", self.placement.my_name()), state);
+        let _ = put.express(true).priority(Priority::InteractiveHigh).wait();
         for telegram in self.mirror.news(all) {
-            let _ = self.session.put(format!("pages/{}", self.placement.my_name()), telegram).wait();
+            let put = self.session.put(format!("pages/{}", self.placement.my_name()), telegram);
+            let _ = put.priority(Priority::Background).wait();
         }
     }
 
@@ -479,6 +500,22 @@ impl Post<'_> {
     fn last_words(&mut self) {
         self.state.stage = Stage::Over { why: std::mem::take(&mut self.why) };
         self.say(true);
+    }
+
+    /// Tells the others which records have arrived here, when that has changed; gives up what the recording machine, which is
+    /// heard, has not received for long.
+    fn receipts(&mut self, books: &Books) {
+        if self.placement.records_here() {
+            let receipt = books.receipt();
+            if receipt != self.receipt {
+                let put = self.session.put(format!("receipt/{}", self.placement.my_name()), receipt.clone());
+                let _ = put.express(true).priority(Priority::InteractiveHigh).wait();
+                self.receipt = receipt;
+            }
+        } else if let Some(host) = self.placement.recorder {
+            let (now, at) = (monotonic(), lock(&self.ear[host]).at);
+            books.forget(now, now.saturating_sub(at) < self.placement.silence);
+        }
     }
 
     fn all_over(&self) -> bool {
