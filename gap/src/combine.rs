@@ -48,17 +48,12 @@ pub fn combinations(setup: &Setup, null: &Fit, fits: &[Fit], judge: &Judge) -> V
         if setup.stop.leaves_out(|| SEVERAL.into()) {
             break;
         }
-        let mut base = base.clone();
-        while base.hypothesis.effects.len() < MOST {
-            let Some(next) = extend(setup, &base, &pool, judge) else { break };
-            let complete = || leaves_nothing(setup, &next, &pool);
-            if !judge.is_worth_or(&next, &base, complete) || !judge.is_worth(&next, null) {
-                break;
-            }
-            if setup.stop.leaves_out(|| SEVERAL.into()) {
-                return found;
-            }
-            base = next;
+        let mut base = grown(setup, null, base.clone(), &pool, judge);
+        if let Some(other) = exchanged(setup, null, &base, fits, &pool, judge) {
+            base = grown(setup, null, other, &pool, judge);
+        }
+        if setup.stop.asked() {
+            return found;
         }
         if base.hypothesis.effects.len() < 2 {
             continue;
@@ -75,6 +70,65 @@ pub fn combinations(setup: &Setup, null: &Fit, fits: &[Fit], judge: &Judge) -> V
         }
     }
     found
+}
+
+/// A fit with further effects, one by one, as long as they are worth it.
+fn grown(setup: &Setup, null: &Fit, mut base: Fit, pool: &[EffectAt], judge: &Judge) -> Fit {
+    while base.hypothesis.effects.len() < MOST && !setup.stop.leaves_out(|| SEVERAL.into()) {
+        let Some(next) = extend(setup, &base, pool, judge) else { break };
+        let complete = || leaves_nothing(setup, &next, pool);
+        if !judge.is_worth_or(&next, &base, complete) || !judge.is_worth(&next, null) {
+            break;
+        }
+        base = next;
+    }
+    base
+}
+
+/// Where the noise is not reached: the best combination with another effect, or another form, in the place of one of
+/// them. Each was chosen before what came later was known.
+fn exchanged(
+    setup: &Setup,
+    null: &Fit,
+    fit: &Fit,
+    fits: &[Fit],
+    pool: &[EffectAt],
+    judge: &Judge,
+) -> Option<Fit> {
+    let effects = &fit.hypothesis.effects;
+    if effects.len() < 2 || fit.shooting_error <= INEXACT {
+        return None;
+    }
+    let mut others: Vec<Fit> = Vec::new();
+    for (left_out, own) in effects.iter().enumerate() {
+        if setup.stop.leaves_out(|| SEVERAL.into()) {
+            return None;
+        }
+        let rest = without(setup, null, fit, left_out, fits);
+        let forms = pool.iter().filter(|at| at.label() == own.label() && *at != own);
+        let with = |form: &EffectAt| {
+            let effects = rest.hypothesis.effects.iter().chain([form]).cloned().collect::<Vec<_>>();
+            library::hypothesis(setup, &effects)
+        };
+        others.extend(fit_all(setup, &rest, forms.map(with).collect(), Width::FURTHER, &|_| ()));
+        // The last one was chosen beside all others.
+        if left_out + 1 < effects.len() {
+            others.extend(extend(setup, &rest, pool, judge));
+        }
+    }
+    let best = others.into_iter().min_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)))?;
+    (judge.cost(&best) < judge.cost(fit) - WORTH).then_some(best)
+}
+
+/// A combination without one of its effects.
+fn without(setup: &Setup, null: &Fit, fit: &Fit, left_out: usize, fits: &[Fit]) -> Fit {
+    let mut rest = fit.hypothesis.effects.clone();
+    rest.remove(left_out);
+    match fits.iter().find(|f| same(&f.hypothesis.effects, &rest)) {
+        Some(known) => known.clone(),
+        // From where they are beside it; another start may have missed them.
+        None => fit_part(setup, null, library::hypothesis(setup, &rest), fit),
+    }
 }
 
 /// Whether a single effect with which the noise is reached explains as much as several do, whichever they began with: then
@@ -167,10 +221,17 @@ fn extend(setup: &Setup, base: &Fit, pool: &[EffectAt], judge: &Judge) -> Option
             library::hypothesis(setup, &effects)
         })
         .collect();
+    if std::env::var("PXD").is_ok() {
+        let top: Vec<String> = scores.iter().take(8).map(|(s, at)| format!("{}{:?}={s:.0}", at.label(), at.effect)).collect();
+        eprintln!("PXD extend {} err {:.2} cost {:.1}: {}", base.hypothesis.label(), base.shooting_error, judge.cost(base), top.join(" "));
+    }
     if hypotheses.is_empty() {
         return None;
     }
     let fits = fit_all(setup, base, hypotheses, Width::FURTHER, &|_| ());
+    if std::env::var("PXD").is_ok() {
+        for f in &fits { eprintln!("PXD   fit {} {:?} err {:.2} cost {:.1} ev {:.1} worth {}", f.hypothesis.label(), f.hypothesis.effects.last().map(|e| e.effect), f.shooting_error, judge.cost(f), f.innovation.evidence_cost, judge.is_worth(f, base)); }
+    }
     let chosen = simplest(&fits, |fit| judge.cost(fit))?;
     if base.shooting_error <= INEXACT {
         // With a model that is right the innovations say most: windows take a late sensor for another start.
@@ -206,29 +267,21 @@ fn leaves_nothing(setup: &Setup, fit: &Fit, pool: &[EffectAt]) -> bool {
 
 /// How much of the base's squared innovations an effect's signature takes, at most: a score test.
 fn score(setup: &Setup, base: &Fit, nuisance: &Nuisance, at: &EffectAt) -> f64 {
-    let columns = nuisance.project_columns(&signature::columns(setup, base, at));
-    let basis = signature::orthonormal(&columns);
-    let along: DVector<f64> = basis.transpose() * &nuisance.innovations;
-    let score = along.norm_squared();
-    if score.is_finite() { score } else { 0.0 }
+    let at_starts = signature::columns_at_starts(setup, base, at).into_iter().map(|columns| {
+        let basis = signature::orthonormal(&nuisance.project_columns(&columns));
+        let along: DVector<f64> = basis.transpose() * &nuisance.innovations;
+        along.norm_squared()
+    });
+    at_starts.filter(|score| score.is_finite()).fold(0.0, f64::max)
 }
 
 /// Leaves out each effect without which the evidence loses less than [`WORTH`], the least needed first.
 fn prune(setup: &Setup, null: &Fit, mut fit: Fit, fits: &[Fit], pool: &[EffectAt], judge: &Judge) -> Fit {
     while fit.hypothesis.effects.len() > 1 && !setup.stop.leaves_out(|| SEVERAL.into()) {
-        let effects = fit.hypothesis.effects.clone();
-        let doubtful: Vec<usize> = (0..effects.len()).filter(|k| !is_certain(&fit, *k)).collect();
-        let without = doubtful.into_par_iter().map(|left_out| {
-            let mut rest = effects.clone();
-            rest.remove(left_out);
-            match fits.iter().find(|f| same(&f.hypothesis.effects, &rest)) {
-                Some(known) => known.clone(),
-                // From where they are beside it; another start may have missed them.
-                None => fit_part(setup, null, library::hypothesis(setup, &rest), &fit),
-            }
-        });
-        let without: Vec<Fit> = without.collect();
-        let best = without.into_iter().min_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
+        let doubtful: Vec<usize> = (0..fit.hypothesis.effects.len()).filter(|k| !is_certain(&fit, *k)).collect();
+        let shorter: Vec<Fit> =
+            doubtful.into_par_iter().map(|left_out| without(setup, null, &fit, left_out, fits)).collect();
+        let best = shorter.into_iter().min_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
         let complete = || leaves_nothing(setup, &fit, pool);
         match best.filter(|best| !judge.is_worth_or(&fit, best, complete)) {
             Some(simpler) => fit = simpler,

@@ -1,7 +1,9 @@
 //! Signatures: what an effect leaves in the innovations of the null model, and which effects look alike.
 
 use nalgebra::{DMatrix, DVector};
+use parallax_model::effect::Effect;
 
+use crate::hypothesis::EffectAt;
 use crate::innovation::walk;
 use crate::library;
 use crate::search::Fit;
@@ -9,6 +11,9 @@ use crate::setup::Setup;
 
 /// Cosine from which two signatures count as one.
 pub const SAME: f64 = 0.97;
+
+/// Frequencies from which a spring inside a joint starts.
+const FREQUENCIES: usize = 3;
 
 /// The nuisance directions of a log: what the calibrated parameters can produce, as an orthonormal basis.
 #[derive(Clone, Debug)]
@@ -96,7 +101,19 @@ pub fn of_fit(setup: &Setup, null: &Fit, fit: &Fit) -> DVector<f64> {
 
 /// Derivatives of a fit's whitened innovations by the parameters of a further effect, at a small effect.
 #[must_use]
-pub fn columns(setup: &Setup, null: &Fit, effect: &crate::hypothesis::EffectAt) -> DMatrix<f64> {
+pub fn columns(setup: &Setup, null: &Fit, effect: &EffectAt) -> DMatrix<f64> {
+    columns_at(setup, null, effect, 0)
+}
+
+/// The same at each of the effect's starts, where it is what it does and not its size that they differ by: a spring inside a
+/// joint is seen at its frequency.
+#[must_use]
+pub fn columns_at_starts(setup: &Setup, null: &Fit, effect: &EffectAt) -> Vec<DMatrix<f64>> {
+    let starts = if effect.effect == Effect::Flexibility { FREQUENCIES } else { 1 };
+    (0..starts).map(|start| columns_at(setup, null, effect, start)).collect()
+}
+
+fn columns_at(setup: &Setup, null: &Fit, effect: &EffectAt, start: usize) -> DMatrix<f64> {
     let mut effects = null.hypothesis.effects.clone();
     effects.push(effect.clone());
     let hypothesis = library::hypothesis(setup, &effects);
@@ -106,7 +123,7 @@ pub fn columns(setup: &Setup, null: &Fit, effect: &crate::hypothesis::EffectAt) 
         .iter()
         .map(|f| match null.hypothesis.fitted.iter().position(|n| n.slot == f.slot) {
             Some(index) => null.theta()[index],
-            None => f.starts.first().copied().unwrap_or(f.null),
+            None => f.starts.get(start).or(f.starts.first()).copied().unwrap_or(f.null),
         })
         .collect();
     let pass = walk(&simulator, &setup.train, &setup.noise, &null.innovation.noise, &theta);

@@ -7,6 +7,7 @@ use parallax_model::effect::{Effect, EffectParameter, PlaceKind, Quantity};
 
 use super::testable::LARGEST_SKEW;
 use crate::hypothesis::{EffectAt, Fitted, Prior, Slot};
+use crate::readings;
 use crate::setup::{JointScale, Range, Setup};
 
 /// The entry of θ for one parameter of an effect at the place of this index.
@@ -116,15 +117,21 @@ fn level(setup: &Setup, at: &EffectAt, index: usize, spec: &EffectParameter, fit
             let upper = spec.quantity == Quantity::High;
             let (low, high) = if upper { (range.middle(), range.high) } else { (range.low, range.middle()) };
             fitted.null = if upper { high } else { low };
-            // Shares of half the range; clipped readings give a window no guess, so that starts are nearer there.
+            // Shares of half the range.
             // A command may be far above what the machine can do.
             let shares: &[f64] = match at.place.kind {
-                PlaceKind::Output => &[0.1, 0.3, 0.6],
                 PlaceKind::Input => &[0.05, 0.3, 0.6, 0.9],
                 _ => &[0.05, 0.3, 0.6],
             };
             let starts = shares.iter().map(|s| fitted.null + s * (range.middle() - fitted.null)).collect();
             flat(fitted, low, high, starts);
+            if at.place.kind == PlaceKind::Output {
+                // Readings rest at a limit: it is nowhere else.
+                let (_, readings) = setup.experiment.output(index);
+                let limit = readings::limit(&readings, setup.output_noise[index], upper);
+                (fitted.low, fitted.high) = (limit.low, limit.high);
+                fitted.starts = vec![limit.level.unwrap_or(fitted.null)];
+            }
         }
         Quantity::Level if at.effect == Effect::SaturationSoft => {
             sized(fitted, 0.15 * range.width().max(1e-12), &[0.3]);

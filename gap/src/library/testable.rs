@@ -3,6 +3,7 @@
 use parallax_model::effect::{Effect, PlaceKind};
 
 use crate::hypothesis::EffectAt;
+use crate::readings;
 use crate::setup::Setup;
 
 /// Least part of a turn that must be covered to see what repeats with position: a wave of a motor with 24 a turn.
@@ -79,7 +80,10 @@ fn output(setup: &Setup, effect: Effect, index: usize) -> Result<(), String> {
         Effect::Scale => need(range.high.abs().max(range.low.abs()) > 0.0, "the reading is always zero"),
         Effect::SensorSaturation => {
             need(range.width() > 4.0 * setup.output_noise[index], "the reading never leaves its noise")?;
-            need(setup.experiment.wraps[index].is_none(), "the reading turns around, and has no limits")
+            need(setup.experiment.wraps[index].is_none(), "the reading turns around, and has no limits")?;
+            let (_, readings) = setup.experiment.output(index);
+            let rests = |upper| readings::limit(&readings, setup.output_noise[index], upper).level.is_some();
+            need(rests(false) || rests(true), "its readings rest at no limit")
         }
         Effect::SensorLag | Effect::SensorLagSecondOrder => {
             let system = setup.equations.system();

@@ -13,6 +13,7 @@
 mod doubt;
 mod kicks;
 pub mod lattice;
+mod limit;
 mod local;
 mod lost;
 mod outliers;
@@ -28,6 +29,7 @@ use serde::{Deserialize, Serialize};
 use crate::report::Value;
 
 pub(crate) use doubt::contradicted;
+pub(crate) use limit::limit;
 pub(crate) use lost::{LostCommands, lost};
 pub(crate) use raw::Raw;
 pub use raw::{Suspicion, Suspicious, cleaned, examine};

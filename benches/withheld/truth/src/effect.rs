@@ -44,6 +44,23 @@ pub(crate) struct Cause {
     pub(crate) p: [f64; 4],
 }
 
+/// Share by which each draw brings a limit closer than the one before.
+const CLOSER: f64 = 0.1;
+
+impl Cause {
+    /// The same, a limit so many times closer to the middle: a motion may be smaller than the machine's range.
+    pub(crate) fn closer(mut self, times: u64) -> Self {
+        use Kind::*;
+        let limits = match self.kind {
+            EndStop | EndStopLow | QuadraticStop => 1,
+            SensorSaturation => 2,
+            _ => 0,
+        };
+        self.p.iter_mut().take(limits).for_each(|p| *p *= (1.0 - CLOSER).powi(times as i32));
+        self
+    }
+}
+
 pub(crate) const INPUT: &[Kind] = {
     use Kind::*;
     &[

@@ -5,11 +5,13 @@
 //! crosses over to the diagnosis is one folder: `recording.toml`, tables, and the nominal `system.toml`.
 //!
 //! A cause that never acts in its recording, such as a stop that is not reached or a limit beyond the commands, is no
-//! cause: its magnitude is drawn again, each of a pair's on its own, until it leaves a trace.
+//! cause: its magnitude is drawn again, a limit a little closer each time and each of a pair's on its own, until it
+//! leaves a trace.
 
 // Equations of motion are read by index, as they are written.
 #![allow(clippy::needless_range_loop)]
 
+mod alike;
 mod case;
 mod channel;
 mod drive;
@@ -203,7 +205,7 @@ fn case(plan: &Plan, seed: u64) -> Result<Case, TruthError> {
         let first = effect::draw(system, kind, place, duration, noise, &mut rng);
         let again = (0..REDRAWS).map(|k| {
             let mut rng = stream(seed, 400 + 100 * member + k);
-            effect::draw(system, kind, place, duration, noise, &mut rng)
+            effect::draw(system, kind, place, duration, noise, &mut rng).closer(k)
         });
         std::iter::once(first).chain(again).find(|cause| acts(&alone(vec![*cause]))).unwrap_or(first)
     };

@@ -3,71 +3,92 @@
 //! The healthy machine is fitted to what the faulty one shows without noise: its calibrated parameters within their
 //! bounds, and the initial state of every short segment. What is left, in units of the sensors' noise, is the cause's
 //! signature; its square is the detectability. The fit is nonlinear: what a large cause and other parameters have in
-//! common beyond the first order is no part of the signature. Others are alike when their change of the sensors' values,
-//! less what the fit would follow to first order, points the same way.
+//! common beyond the first order is no part of the signature. Others are alike when the machine that has one of them in
+//! the cause's place, fitted as well, follows what is shown ([`crate::alike`]).
 
-use crate::case::{Case, Run, reading, stream};
-use crate::effect::{Cause, Kind, Place, draw, label, table};
-use crate::least_squares::{inverse, orthonormal, remove};
+use crate::case::{Case, Run, reading};
+use crate::effect::{Cause, Kind, Place, label};
+use crate::least_squares::inverse;
 use crate::mechanics::{H, Machine};
 use crate::system::{N, State};
 use nalgebra::{DMatrix, DVector};
 
 /// Steps of a segment (0.4 s).
 const SEGMENT: usize = 4000;
-/// Cosine above which two causes count as one class.
-const ALIKE: f64 = 0.97;
-/// Sizes that are tried of a cause that comes near, and the cosine from which it does.
-const SIZES: usize = 6;
-const NEAR: f64 = 0.3;
 /// Steps of the fit, at most.
 const STEPS: usize = 5;
+/// Share of the sum of squares that a step must take, else it was the last.
+const LEAST: f64 = 0.01;
 /// Sum of squares below which nothing is left to fit.
-const NOTHING: f64 = 0.01;
+pub(crate) const NOTHING: f64 = 0.01;
+/// Share of a cause's parameter by which a slope moves it: several steps of the integrator for a delay.
+const STEP: f64 = 0.01;
+/// How many times smaller or larger a fitted cause may become in one step.
+const WIDEST: f64 = 20.0;
 
 /// Sensor values in noise units, by segment.
-type Values = Vec<DVector<f64>>;
+pub(crate) type Values = Vec<DVector<f64>>;
 
-/// The healthy machine, fitted.
-struct View<'a> {
-    case: &'a Case,
-    run: &'a Run,
+/// A machine, fitted: the healthy one, or one with causes that are fitted as well.
+pub(crate) struct View<'a> {
+    pub(crate) case: &'a Case,
+    pub(crate) run: &'a Run,
+    /// What the fit follows: what the sensors show without scatter.
+    target: Values,
     /// What acts on the healthy machine.
     plain: Vec<[f64; N]>,
     parameters: Vec<f64>,
-    starts: Vec<State>,
-    nominal: Values,
-    rest: Values,
-    cost: f64,
+    pub(crate) starts: Vec<State>,
+    /// The causes that this machine has.
+    pub(crate) causes: Vec<Cause>,
+    shown: Values,
+    pub(crate) rest: Values,
+    pub(crate) cost: f64,
+}
+
+/// What a fit moves besides initial states.
+#[derive(Clone, Copy)]
+pub(crate) enum Free {
+    /// A parameter of the machine.
+    Machine(usize),
+    /// A parameter of one of its causes.
+    Cause(usize, usize),
 }
 
 /// What small changes do to the sensor values.
-struct Slopes {
+pub(crate) struct Slopes {
     /// By variable of the initial state, then by segment; in units of a step.
-    local: Vec<Values>,
+    pub(crate) local: Vec<Values>,
     local_steps: Vec<Vec<f64>>,
-    /// By calibrated parameter; its index, the size of a step, and the values.
-    global: Vec<(usize, f64, Values)>,
+    /// By what else is free; the size of a step, and the values.
+    pub(crate) global: Vec<(Free, f64, Values)>,
 }
 
 /// Twice the log-likelihood ratio that the causes are worth.
 pub(crate) fn detectability(case: &Case, run: &Run) -> f64 {
-    let view = View::fit(case, run);
+    let view = View::fit(case, run, Vec::new());
     view.map_or(0.0, |view| view.cost) + scatter(case, run)
 }
 
-/// Twice the log-likelihood ratio that the causes are worth, and the labels of the class.
+/// Twice the log-likelihood ratio that the causes are worth, and the labels of the class: the causes, then what is alike
+/// one of them beside the others.
 pub(crate) fn judge(case: &Case, run: &Run) -> (f64, Vec<String>) {
     let own = |c: &Cause| label(case.system, c.kind, c.place);
     let mut labels: Vec<String> = case.causes.iter().map(own).collect();
-    let Some(view) = View::fit(case, run) else { return (scatter(case, run), labels) };
-    if let [cause] = case.causes.as_slice()
-        && !cause.kind.statistical()
-        && view.cost > NOTHING
-    {
-        view.alike(&mut labels);
+    let healthy = View::fit(case, run, Vec::new());
+    let cost = healthy.as_ref().map_or(0.0, |view| view.cost);
+    match (moving(case).as_slice(), healthy) {
+        ([cause], Some(view)) => view.classify(cause, &mut labels),
+        ([first, second], _) => {
+            for (lacking, other) in [(first, second), (second, first)] {
+                if let Some(view) = View::fit(case, run, vec![*other]) {
+                    view.classify(lacking, &mut labels);
+                }
+            }
+        }
+        _ => {}
     }
-    (view.cost + scatter(case, run), labels)
+    (cost + scatter(case, run), labels)
 }
 
 /// Causes that move what sensors show, rather than how readings scatter around it.
@@ -106,46 +127,68 @@ fn likelihood(case: &Case, run: &Run, cause: &Cause) -> f64 {
 }
 
 impl<'a> View<'a> {
-    /// Fits the healthy machine. None where no cause moves a reading.
-    fn fit(case: &'a Case, run: &'a Run) -> Option<Self> {
-        let causes = moving(case);
-        if causes.is_empty() {
+    /// Fits the machine with these causes. None where no cause of the case moves a reading.
+    fn fit(case: &'a Case, run: &'a Run, causes: Vec<Cause>) -> Option<Self> {
+        let moving = moving(case);
+        if moving.is_empty() {
             return None;
         }
-        let plain = case.acting(&run.commands, run.states.len(), &[]);
-        let starts: Vec<State> =
-            (0..run.states.len() / SEGMENT).map(|segment| run.states[segment * SEGMENT]).collect();
         let mut view = Self {
             case,
             run,
-            plain,
+            target: Vec::new(),
+            plain: case.acting(&run.commands, run.states.len(), &[]),
             parameters: run.parameters.clone(),
-            starts,
-            nominal: Vec::new(),
+            starts: (0..run.states.len() / SEGMENT).map(|segment| run.states[segment * SEGMENT]).collect(),
+            causes,
+            shown: Vec::new(),
             rest: Vec::new(),
             cost: 0.0,
         };
-        view.nominal = view.play(&view.parameters, &view.starts, &[], &view.plain);
-        let target = view.sensors(&causes);
-        view.rest = minus(&target, &view.nominal);
-        view.cost = square(&view.rest);
-        for _ in 0..STEPS {
-            let before = view.cost;
-            if before < NOTHING || !view.follow(&target) || view.cost > 0.99 * before {
-                break;
-            }
-        }
+        view.target = view.sensors(&moving);
+        view.settle(|cost| cost < NOTHING);
         Some(view)
     }
 
+    /// The same machine with a further cause, fitted until little enough is left.
+    pub(crate) fn with(&self, cause: Cause, enough: impl Fn(f64) -> bool) -> Self {
+        let mut view = Self {
+            target: self.target.clone(),
+            plain: self.plain.clone(),
+            parameters: self.parameters.clone(),
+            starts: self.starts.clone(),
+            causes: self.causes.iter().chain([&cause]).copied().collect(),
+            shown: Vec::new(),
+            rest: Vec::new(),
+            ..*self
+        };
+        view.settle(enough);
+        view
+    }
+
+    fn settle(&mut self, enough: impl Fn(f64) -> bool) {
+        self.shown = self.show(&self.parameters, &self.starts, &self.causes);
+        self.rest = minus(&self.target, &self.shown);
+        self.cost = square(&self.rest);
+        for _ in 0..STEPS {
+            let before = self.cost;
+            if enough(before) || !self.follow() || self.cost > (1.0 - LEAST) * before {
+                break;
+            }
+        }
+    }
+
     /// One damped Gauss-Newton step. False where none lowers the sum of squares.
-    fn follow(&mut self, target: &Values) -> bool {
+    fn follow(&mut self) -> bool {
         let slopes = self.slopes();
-        let (by_parameter, by_start) = self.step(&slopes);
+        let (by_free, by_start) = self.step(&slopes);
         for part in [1.0, 0.4, 0.1] {
-            let mut parameters = self.parameters.clone();
-            for ((k, size, _), step) in slopes.global.iter().zip(&by_parameter) {
-                parameters[*k] += part * size * step;
+            let (mut parameters, mut causes) = (self.parameters.clone(), self.causes.clone());
+            for ((free, size, _), step) in slopes.global.iter().zip(&by_free) {
+                match *free {
+                    Free::Machine(k) => parameters[k] += part * size * step,
+                    Free::Cause(of, k) => causes[of].p[k] += part * size * step,
+                }
             }
             let mut starts = self.starts.clone();
             for (segment, steps) in by_start.iter().enumerate() {
@@ -153,12 +196,12 @@ impl<'a> View<'a> {
                     *self.variable(&mut starts[segment], i) += part * slopes.local_steps[i][segment] * step;
                 }
             }
-            let nominal = self.play(&parameters, &starts, &[], &self.plain);
-            let rest = minus(target, &nominal);
+            let shown = self.show(&parameters, &starts, &causes);
+            let rest = minus(&self.target, &shown);
             let cost = square(&rest);
             if cost < self.cost {
-                (self.parameters, self.starts, self.nominal) = (parameters, starts, nominal);
-                (self.rest, self.cost) = (rest, cost);
+                (self.parameters, self.starts, self.causes) = (parameters, starts, causes);
+                (self.shown, self.rest, self.cost) = (shown, rest, cost);
                 return true;
             }
         }
@@ -217,11 +260,22 @@ impl<'a> View<'a> {
         (by_parameter, by_start)
     }
 
-    /// How far a parameter may still go down and up, in units of its step.
-    fn room(&self, (k, size, _): &(usize, f64, Values)) -> (f64, f64) {
-        let (low, high) =
-            self.case.system.parameters[*k].bounds.unwrap_or((f64::NEG_INFINITY, f64::INFINITY));
-        (((low - self.parameters[*k]) / size).min(0.0), ((high - self.parameters[*k]) / size).max(0.0))
+    /// How far what is free may still go down and up, in units of its step.
+    pub(crate) fn room(&self, (free, size, _): &(Free, f64, Values)) -> (f64, f64) {
+        let ((low, high), value) = match *free {
+            Free::Machine(k) => {
+                let bounds = self.case.system.parameters[k].bounds;
+                (bounds.unwrap_or((f64::NEG_INFINITY, f64::INFINITY)), self.parameters[k])
+            }
+            Free::Cause(of, k) => {
+                let Cause { kind, p, .. } = self.causes[of];
+                let inner = if kind.two_sided() { -WIDEST } else { WIDEST.recip() };
+                let (a, b) = (inner * p[k], WIDEST * p[k]);
+                ((a.min(b), a.max(b)), p[k])
+            }
+        };
+        let (down, up) = ((low - value) / size, (high - value) / size);
+        (down.min(up).min(0.0), down.max(up).max(0.0))
     }
 
     fn variable<'s>(&self, s: &'s mut State, i: usize) -> &'s mut f64 {
@@ -234,7 +288,7 @@ impl<'a> View<'a> {
     }
 
     /// Slopes at the fitted point.
-    fn slopes(&self) -> Slopes {
+    pub(crate) fn slopes(&self) -> Slopes {
         let system = self.case.system;
         let mut slopes = Slopes { local: Vec::new(), local_steps: Vec::new(), global: Vec::new() };
         for i in 0..2 * system.joints.len() + system.extras {
@@ -246,8 +300,8 @@ impl<'a> View<'a> {
                 *x += size;
                 sizes.push(size);
             }
-            let moved = self.play(&self.parameters, &starts, &[], &self.plain);
-            slopes.local.push(minus(&moved, &self.nominal));
+            let moved = self.show(&self.parameters, &starts, &self.causes);
+            slopes.local.push(minus(&moved, &self.shown));
             slopes.local_steps.push(sizes);
         }
         for (k, p) in system.parameters.iter().enumerate() {
@@ -256,76 +310,40 @@ impl<'a> View<'a> {
             let size = if self.parameters[k] + size > high { -size } else { size };
             let mut parameters = self.parameters.clone();
             parameters[k] += size;
-            let moved = self.play(&parameters, &self.starts, &[], &self.plain);
-            slopes.global.push((k, size, minus(&moved, &self.nominal)));
+            let moved = self.show(&parameters, &self.starts, &self.causes);
+            slopes.global.push((Free::Machine(k), size, minus(&moved, &self.shown)));
+        }
+        for (of, cause) in self.causes.iter().enumerate().filter(|(_, cause)| !cause.kind.statistical()) {
+            for k in 0..cause.kind.names().2.len() {
+                let size = STEP * cause.p[k].abs();
+                if size == 0.0 {
+                    continue;
+                }
+                let mut causes = self.causes.clone();
+                causes[of].p[k] += size;
+                let moved = self.show(&self.parameters, &self.starts, &causes);
+                slopes.global.push((Free::Cause(of, k), size, minus(&moved, &self.shown)));
+            }
         }
         slopes
     }
 
-    /// Adds the labels of all effects of the table that look like the cause.
-    fn alike(&self, labels: &mut Vec<String>) {
-        let case = self.case;
-        let slopes = self.slopes();
-        let span = Span::new(self, &slopes);
-        let truth = span.beyond(&self.rest);
-        let power = truth.norm_squared();
-        for (i, (kind, place)) in table(case.system).into_iter().enumerate() {
-            let name = label(case.system, kind, place);
-            if kind.statistical() || labels.contains(&name) {
-                continue;
-            }
-            let noise = match place {
-                Place::Output(o) => self.run.noise[o],
-                _ => 0.0,
-            };
-            if self.shifted(kind) {
-                labels.push(name);
-                continue;
-            }
-            // A signature depends on the size of a large cause: the true one's where it is the same effect elsewhere, else
-            // some that might as well be there, as long as they come near.
-            let mut rng = stream(0, 100 + i as u64);
-            let mut sizes = Vec::new();
-            if let [cause] = case.causes.as_slice()
-                && (kind.names().0, kind.names().2) == (cause.kind.names().0, cause.kind.names().2)
-            {
-                sizes.push(Cause { kind, place, p: cause.p });
-            }
-            sizes.extend((0..SIZES).map(|_| draw(case.system, kind, place, case.duration, noise, &mut rng)));
-            for cause in sizes {
-                let other = span.beyond(&self.change(&cause));
-                let size = (power * other.norm_squared()).sqrt();
-                let along = truth.dot(&other);
-                let along = if kind.two_sided() { along.abs() } else { along };
-                if size > 0.0 && along >= ALIKE * size {
-                    labels.push(name);
-                    break;
-                }
-                if along < NEAR * size {
-                    break;
-                }
-            }
-        }
+    /// What a further cause changes at the fitted point.
+    pub(crate) fn change(&self, cause: &Cause) -> Values {
+        let causes: Vec<Cause> = self.causes.iter().chain([cause]).copied().collect();
+        minus(&self.show(&self.parameters, &self.starts, &causes), &self.shown)
     }
 
-    /// Whether it is the true cause's delay at the other end of a machine with one command and one sensor: the laws of motion
-    /// are the same at all times, so that nobody can tell the two apart, however large they are.
-    fn shifted(&self, kind: Kind) -> bool {
-        let system = self.case.system;
-        let one = system.inputs.len() == 1 && system.outputs.len() == 1;
-        one && [self.case.causes[0].kind, kind].iter().all(|kind| kind.names().0 == "delay")
-    }
-
-    /// What a cause changes at the fitted point.
-    fn change(&self, cause: &Cause) -> Values {
-        let causes = [*cause];
-        if let Place::Output(_) = cause.place {
-            return minus(&self.sensors(&causes), &self.sensors(&[]));
+    /// Sensor values of a machine with these causes. What sensors make of the motion is taken from the recorded one.
+    fn show(&self, parameters: &[f64], starts: &[State], causes: &[Cause]) -> Values {
+        let acts = causes.iter().any(|cause| matches!(cause.place, Place::Input(_)));
+        let acting = acts.then(|| self.case.acting(&self.run.commands, self.run.states.len(), causes));
+        let values = self.play(parameters, starts, causes, acting.as_ref().unwrap_or(&self.plain));
+        if !causes.iter().any(|cause| matches!(cause.place, Place::Output(_))) {
+            return values;
         }
-        let acting = matches!(cause.place, Place::Input(_))
-            .then(|| self.case.acting(&self.run.commands, self.run.states.len(), &causes));
-        let u = acting.as_ref().unwrap_or(&self.plain);
-        minus(&self.play(&self.parameters, &self.starts, &causes, u), &self.nominal)
+        let sensed = minus(&self.sensors(causes), &self.sensors(&[]));
+        values.iter().zip(&sensed).map(|(a, b)| a + b).collect()
     }
 
     /// What the sensors show along the recorded motion, in noise units.
@@ -366,46 +384,6 @@ impl<'a> View<'a> {
             DVector::from_vec(values)
         };
         starts.iter().enumerate().map(one).collect()
-    }
-}
-
-/// What the fit follows to first order.
-struct Span {
-    local: Vec<Vec<DVector<f64>>>,
-    global: Vec<DVector<f64>>,
-}
-
-impl Span {
-    fn new(view: &View, slopes: &Slopes) -> Self {
-        let mut local = vec![Vec::new(); view.starts.len()];
-        for (segment, columns) in local.iter_mut().enumerate() {
-            for values in &slopes.local {
-                orthonormal(columns, values[segment].clone());
-            }
-        }
-        let mut span = Self { local, global: Vec::new() };
-        for column in &slopes.global {
-            // A parameter at its bound does not follow.
-            let (low, high) = view.room(column);
-            if low < 0.0 && high > 0.0 {
-                let column = span.beyond(&column.2);
-                orthonormal(&mut span.global, column);
-            }
-        }
-        span
-    }
-
-    /// The part outside the span, as one row.
-    fn beyond(&self, values: &Values) -> DVector<f64> {
-        let mut all = Vec::<f64>::new();
-        for (values, columns) in values.iter().zip(&self.local) {
-            let mut r = values.clone();
-            columns.iter().for_each(|c| remove(&mut r, c));
-            all.extend(r.iter());
-        }
-        let mut all = DVector::from_vec(all);
-        self.global.iter().for_each(|c| remove(&mut all, c));
-        all
     }
 }
 

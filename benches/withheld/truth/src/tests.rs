@@ -217,6 +217,27 @@ fn another_parameter_joins_what_looks_like_it() {
     assert!(class.contains(&"viscous@joint:shoulder".to_owned()), "{class:?}");
 }
 
+/// Friction of one direction is friction of both and a constant force, which this machine may have.
+#[test]
+fn what_needs_other_parameters_to_look_like_it_joins_as_well() {
+    let uneven = cause(Kind::Asymmetric, Place::Joint(0), [11.0, 0.5, 0.0, 0.0]);
+    let case = Case { system: ALL[4], causes: vec![uneven], duration: 6.0, poor: false, seed: 7, take: 0 };
+    let (_, class) = judge(&case, &case.run());
+    assert!(class.contains(&"coulomb@joint:axis".to_owned()), "{class:?}");
+}
+
+/// A servo that reads too much goes to other goals, and its spring rests elsewhere.
+#[test]
+fn classes_of_a_pair_are_those_beside_the_other_one() {
+    let bias = cause(Kind::Bias, Place::Output(0), [0.03, 0.0, 0.0, 0.0]);
+    let spring = cause(Kind::Spring, Place::Joint(0), [0.2, 0.1, 0.0, 0.0]);
+    let case = Case { system: ALL[1], causes: vec![bias, spring], duration: 6.0, poor: false, seed: 7, take: 0 };
+    let (_, class) = judge(&case, &case.run());
+    assert_eq!(class[..2], ["bias@output:position", "spring@joint:shaft"]);
+    assert!(class.contains(&"offset@input:goal".to_owned()), "{class:?}");
+    assert!(!class.contains(&"coulomb@joint:shaft".to_owned()), "{class:?}");
+}
+
 #[test]
 fn noise_is_stated_where_more_of_it_is_the_cause() {
     let noisy = cause(Kind::Noise, Place::Output(0), [0.01, 0.0, 0.0, 0.0]);
