@@ -39,9 +39,16 @@ const NOTHING: f64 = 20.0;
 /// Difference of −2 log evidence up to which two effects alone are one and the same.
 const TWIN: f64 = 0.01;
 
-/// Combinations that are worth their further effects; `fits` are single effects, the best first.
+/// Combinations that are worth their further effects; `fits` are single effects in their best forms, the best first, and
+/// `library` has all forms.
 #[must_use]
-pub fn combinations(setup: &Setup, null: &Fit, fits: &[Fit], judge: &Judge) -> Vec<Fit> {
+pub fn combinations(
+    setup: &Setup,
+    null: &Fit,
+    fits: &[Fit],
+    library: &[EffectAt],
+    judge: &Judge,
+) -> Vec<Fit> {
     let pool: Vec<EffectAt> = fits.iter().filter_map(|f| f.hypothesis.effects.first().cloned()).collect();
     let mut found: Vec<Fit> = Vec::new();
     for base in beginnings(setup, null, fits, &pool, judge) {
@@ -49,7 +56,7 @@ pub fn combinations(setup: &Setup, null: &Fit, fits: &[Fit], judge: &Judge) -> V
             break;
         }
         let mut base = grown(setup, null, base.clone(), &pool, judge);
-        if let Some(other) = exchanged(setup, null, &base, fits, &pool, judge) {
+        if let Some(other) = exchanged(setup, null, &base, fits, (&pool, library), judge) {
             base = grown(setup, null, other, &pool, judge);
         }
         if setup.stop.asked() {
@@ -92,7 +99,7 @@ fn exchanged(
     null: &Fit,
     fit: &Fit,
     fits: &[Fit],
-    pool: &[EffectAt],
+    (pool, library): (&[EffectAt], &[EffectAt]),
     judge: &Judge,
 ) -> Option<Fit> {
     let effects = &fit.hypothesis.effects;
@@ -105,10 +112,10 @@ fn exchanged(
             return None;
         }
         let rest = without(setup, null, fit, left_out, fits);
-        let forms = pool.iter().filter(|at| at.label() == own.label() && *at != own);
+        let forms = library.iter().filter(|at| at.label() == own.label() && *at != own);
         let with = |form: &EffectAt| {
             let effects = rest.hypothesis.effects.iter().chain([form]).cloned().collect::<Vec<_>>();
-            library::hypothesis(setup, &effects)
+            crate::library::hypothesis(setup, &effects)
         };
         others.extend(fit_all(setup, &rest, forms.map(with).collect(), Width::FURTHER, &|_| ()));
         // The last one was chosen beside all others.
@@ -221,17 +228,10 @@ fn extend(setup: &Setup, base: &Fit, pool: &[EffectAt], judge: &Judge) -> Option
             library::hypothesis(setup, &effects)
         })
         .collect();
-    if std::env::var("PXD").is_ok() {
-        let top: Vec<String> = scores.iter().take(8).map(|(s, at)| format!("{}{:?}={s:.0}", at.label(), at.effect)).collect();
-        eprintln!("PXD extend {} err {:.2} cost {:.1}: {}", base.hypothesis.label(), base.shooting_error, judge.cost(base), top.join(" "));
-    }
     if hypotheses.is_empty() {
         return None;
     }
     let fits = fit_all(setup, base, hypotheses, Width::FURTHER, &|_| ());
-    if std::env::var("PXD").is_ok() {
-        for f in &fits { eprintln!("PXD   fit {} {:?} err {:.2} cost {:.1} ev {:.1} worth {}", f.hypothesis.label(), f.hypothesis.effects.last().map(|e| e.effect), f.shooting_error, judge.cost(f), f.innovation.evidence_cost, judge.is_worth(f, base)); }
-    }
     let chosen = simplest(&fits, |fit| judge.cost(fit))?;
     if base.shooting_error <= INEXACT {
         // With a model that is right the innovations say most: windows take a late sensor for another start.
@@ -278,7 +278,8 @@ fn score(setup: &Setup, base: &Fit, nuisance: &Nuisance, at: &EffectAt) -> f64 {
 /// Leaves out each effect without which the evidence loses less than [`WORTH`], the least needed first.
 fn prune(setup: &Setup, null: &Fit, mut fit: Fit, fits: &[Fit], pool: &[EffectAt], judge: &Judge) -> Fit {
     while fit.hypothesis.effects.len() > 1 && !setup.stop.leaves_out(|| SEVERAL.into()) {
-        let doubtful: Vec<usize> = (0..fit.hypothesis.effects.len()).filter(|k| !is_certain(&fit, *k)).collect();
+        let doubtful: Vec<usize> =
+            (0..fit.hypothesis.effects.len()).filter(|k| !is_certain(&fit, *k)).collect();
         let shorter: Vec<Fit> =
             doubtful.into_par_iter().map(|left_out| without(setup, null, &fit, left_out, fits)).collect();
         let best = shorter.into_iter().min_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));

@@ -115,9 +115,10 @@ pub fn weigh(
 ) -> Posterior {
     let judge = Judge::new(null, &fits);
     fits.sort_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
+    let library: Vec<EffectAt> = fits.iter().filter_map(|f| f.hypothesis.effects.first().cloned()).collect();
     let forms = best_forms(&mut fits);
     let (mut forms, count) = (forms, fits.len());
-    let combined = combine::combinations(setup, null, &fits, &judge);
+    let combined = combine::combinations(setup, null, &fits, &library, &judge);
     forms.resize(count + combined.len(), 1.0);
     fits.extend(combined);
     let judge = Judge::new(null, &fits);

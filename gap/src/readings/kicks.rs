@@ -9,6 +9,7 @@
 
 use rayon::prelude::*;
 
+use super::banded::{Cholesky, dot};
 use crate::experiment::Held;
 use crate::filter::Noise;
 use crate::innovation::{Segment, walk_plain};
@@ -165,25 +166,38 @@ impl Kicks {
         if kicks.len() < 10 || !finite {
             return None;
         }
-        let along = kicks.iter().map(|k| dot(&k.response, &innovations[k.first..])).collect();
-        let gram = (0..kicks.len())
+        let mut all = Kicks {
+            kicks,
+            readings: innovations.len(),
+            energy: innovations.iter().map(|e| e * e).sum(),
+            order,
+            stamp: plain.stamp,
+            whitened,
+            along: Vec::new(),
+            gram: Vec::new(),
+        };
+        all.multiply(&innovations);
+        Some(all)
+    }
+
+    /// The products of all responses with the innovations, in the order of their stamps, and with each other.
+    fn multiply(&mut self, innovations: &[f64]) {
+        let kicks = &self.kicks;
+        self.along = kicks.iter().map(|k| dot(&k.response, &innovations[k.first..])).collect();
+        self.gram = (0..kicks.len())
             .map(|k| {
                 let own = &kicks[k];
                 let later = kicks[k..].iter().take_while(|o| o.first < own.first + own.response.len());
                 later.map(|o| dot(&own.response[o.first - own.first..], &o.response)).collect()
             })
             .collect();
-        let energy = innovations.iter().map(|e| e * e).sum();
-        Some(Kicks {
-            kicks,
-            readings: innovations.len(),
-            energy,
-            order,
-            stamp: plain.stamp,
-            whitened,
-            along,
-            gram,
-        })
+    }
+
+    /// By how much the change of a command that stands for another one is larger.
+    fn exchange(&self, k: usize) -> f64 {
+        let count = self.kicks.len();
+        let least = LEAST_CHANGE * self.kicks.iter().map(|k| k.change.abs()).fold(0.0, f64::max);
+        self.kicks[(k + count / 2) % count].change / self.kicks[k].change.abs().max(least)
     }
 
     /// Sum over all commands of the squared response of each reading, in the order of the walk: the variance that shares
@@ -194,10 +208,7 @@ impl Kicks {
 
     /// The same if every command changed by as much as another one, half of the log away, does.
     pub(super) fn exchanged_squares(&self) -> Vec<f64> {
-        let count = self.kicks.len();
-        let least = LEAST_CHANGE * self.kicks.iter().map(|k| k.change.abs()).fold(0.0, f64::max);
-        let other = |k: usize| self.kicks[(k + count / 2) % count].change;
-        self.squares_of(|k| other(k) / self.kicks[k].change.abs().max(least))
+        self.squares_of(|k| self.exchange(k))
     }
 
     fn squares_of(&self, scale: impl Fn(usize) -> f64) -> Vec<f64> {
@@ -290,14 +301,31 @@ impl Kicks {
         Late { spread, std: width * spread, log_evidence, gain: top + 0.5 * self.in_time() }
     }
 
-    /// Commands of which some are lost: one p for each, in a factorised posterior.
+    /// Commands of which some are lost: one p for each, in a factorised posterior. The inference begins with none and with
+    /// shares that are Gaussian: each of the two ends in the other's place where that is likelier.
     pub(super) fn lost(&self) -> Lost {
+        let shares = self.shares().map(|s| s.iter().map(|s| s.clamp(FIRST_RATE, 1.0 - FIRST_RATE)).collect());
+        let plain = self.lost_from(vec![FIRST_RATE; self.kicks.len()]);
+        match shares.map(|shares| self.lost_from(shares)) {
+            Some(other) if other.gain > plain.gain => other,
+            _ => plain,
+        }
+    }
+
+    /// The most probable Gaussian shares, of which a loss is 1, with the variance that losses at [`FIRST_RATE`] have.
+    fn shares(&self) -> Option<Vec<f64>> {
+        let typical = self.energy / self.readings as f64;
+        let band = Cholesky::new(&self.gram, typical / (FIRST_RATE * (1.0 - FIRST_RATE)))?;
+        Some(band.solve(&self.along))
+    }
+
+    fn lost_from(&self, mut p: Vec<f64>) -> Lost {
         let n = self.readings as f64;
         let count = self.kicks.len() as f64;
-        let mut variance = self.energy / n;
-        let (mut rate, mut p) = (FIRST_RATE, vec![FIRST_RATE; self.kicks.len()]);
+        let mut rate = (p.iter().sum::<f64>() / count).clamp(0.5 / count, 0.9);
         // What the probabilities of the others leave along each response.
         let mut along = self.by_gram(&p);
+        let mut variance = self.left(&p, &along) / n;
         for _ in 0..SWEEPS {
             let mut moved: f64 = 0.0;
             let odds = (rate / (1.0 - rate)).ln();
@@ -362,61 +390,6 @@ fn combs(held: &Held, changes: &[usize], memory: f64) -> Vec<Vec<usize>> {
         }
     }
     runs
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-
-/// The Cholesky factor of a banded matrix, row by row from the diagonal on.
-struct Cholesky {
-    rows: Vec<Vec<f64>>,
-    log_determinant: f64,
-}
-
-impl Cholesky {
-    /// Of G + λ I. Nothing where that is not positive.
-    fn new(gram: &[Vec<f64>], diagonal: f64) -> Option<Self> {
-        // Uᵀ U, by outer products: row k of U, then what it takes from the rows below.
-        let mut rows: Vec<Vec<f64>> = gram.to_vec();
-        let mut log_determinant = 0.0;
-        for row in &mut rows {
-            row[0] += diagonal;
-        }
-        for k in 0..rows.len() {
-            let (head, tail) = rows.split_at_mut(k + 1);
-            let own = &mut head[k];
-            if own[0].is_nan() || own[0] <= 0.0 {
-                return None;
-            }
-            log_determinant += own[0].ln();
-            let root = own[0].sqrt();
-            own.iter_mut().for_each(|v| *v /= root);
-            for d in 1..own.len() {
-                let below = &mut tail[d - 1];
-                // Responses end at different times: what one fills in may lie beyond the next one's own band.
-                if below.len() < own.len() - d {
-                    below.resize(own.len() - d, 0.0);
-                }
-                for (v, later) in below.iter_mut().zip(&own[d..]) {
-                    *v -= own[d] * later;
-                }
-            }
-        }
-        Some(Cholesky { rows, log_determinant })
-    }
-
-    /// U⁻ᵀ x: its square is xᵀ (G + λ I)⁻¹ x.
-    fn half(&self, x: &[f64]) -> Vec<f64> {
-        let mut out = x.to_vec();
-        for (k, row) in self.rows.iter().enumerate() {
-            out[k] /= row[0];
-            for (d, u) in row.iter().enumerate().skip(1) {
-                out[k + d] -= u * out[k];
-            }
-        }
-        out
-    }
 }
 
 #[cfg(test)]
@@ -489,15 +462,5 @@ mod tests {
         let late = delayed.late(0.05);
         assert!(late.log_evidence < 2.0 && late.gain > 50.0, "{late:?}");
         assert!(delayed.lost().gain < late.gain - 10.0);
-    }
-
-    #[test]
-    fn the_banded_factor_solves() {
-        let kicks = kicks(|_| 0.0, 1.0);
-        let x: Vec<f64> = (0..400).map(|k| (k as f64 * 0.37).sin()).collect();
-        let mut right = kicks.by_gram(&x);
-        right.iter_mut().zip(&x).for_each(|(r, x)| *r += 0.5 * x);
-        let half = Cholesky::new(&kicks.gram, 0.5).unwrap().half(&right);
-        assert!((dot(&half, &half) - dot(&right, &x)).abs() < 1e-8);
     }
 }

@@ -75,6 +75,9 @@ mod tests {
         let mut readings = swing(0.7);
         (readings[100], readings[900]) = (3.0, 2.0);
         let found = limit(&readings, 0.001, true);
-        assert!(found.level.is_some_and(|level| (level - 0.7).abs() < 0.001) && found.high == 3.0, "{found:?}");
+        assert!(
+            found.level.is_some_and(|level| (level - 0.7).abs() < 0.001) && found.high == 3.0,
+            "{found:?}"
+        );
     }
 }

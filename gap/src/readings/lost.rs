@@ -7,7 +7,7 @@
 use parallax_model::effect::{Effect, Place, PlaceKind};
 
 use super::kicks::{Kicks, Lost};
-use super::scatter;
+use super::scatter::{self, MOST_PERIODS};
 use super::{ReadingEffect, found};
 use crate::experiment::{Experiment, Held};
 use crate::hypothesis::EffectAt;
@@ -146,6 +146,9 @@ fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> Option<(f64,
 
 /// Losses that one look at the innovations shows.
 fn round(setup: &Setup, fit: &Fit, input: usize) -> Option<Lost> {
-    let lost = Kicks::new(setup, fit, &fit.innovation.noise, input, f64::INFINITY)?.lost();
-    (lost.gain > TOLD && lost.rate < MOST && !lost.commands.is_empty()).then_some(lost)
+    let kicks = Kicks::new(setup, fit, &fit.innovation.noise, input, f64::INFINITY)?;
+    let lost = kicks.lost();
+    // Commands that are late by chance look like some that are lost.
+    let told = lost.gain > TOLD && lost.rate < MOST && !lost.commands.is_empty();
+    (told && lost.gain > kicks.late(MOST_PERIODS * kicks.lateness()).gain).then_some(lost)
 }

@@ -10,6 +10,7 @@
 //! evidence, as those of the other hypotheses. A model of the mean cannot lower an error that has no mean, so what an
 //! effect explains is its part of the log predictive density of held-out readings.
 
+mod banded;
 mod doubt;
 mod kicks;
 pub mod lattice;

@@ -37,11 +37,15 @@ const RATE: usize = 2;
 /// Share of the innovations' size that a scatter must make up to be named.
 const NOTABLE: f64 = 0.2;
 
+/// Log density of a held-out reading that scatter of commands may cost where their responses say that it is there: the
+/// density knows nothing of how long each lasts (nats).
+const LOST_DENSITY: f64 = 1e-3;
+
 /// How far a declared noise may be exceeded, as the logarithm of its variance.
 const OPEN: f64 = 12.0;
 
 /// Periods of a command by which its times may scatter: beyond that it would be another command.
-const MOST_PERIODS: f64 = 5.0;
+pub(super) const MOST_PERIODS: f64 = 5.0;
 
 /// Smallest spread of times that is looked for (s).
 const LEAST_SPREAD: f64 = 1e-6;
@@ -77,12 +81,17 @@ pub fn scatter(setup: &Setup, fit: &Fit) -> Vec<ReadingEffect> {
             (period > setup.period).then(|| Kicks::new(setup, fit, &noise, i, setup.period)).flatten();
         let delays = short.as_ref().unwrap_or(&losses);
         let (late, lost) = (delays.late(MOST_PERIODS * period), losses.lost());
+        // A mean lateness is another effect.
+        let of_mean = (late.gain - late.log_evidence).max(0.0);
+        // Which of the two it is, the commands' own sizes say.
+        let times = late.log_evidence >= lost.gain - of_mean;
         let jitter = Judged {
             name: "jitter",
             parameter: "spread",
             value: Value { value: late.spread, std: late.std, unit: "s".into() },
             scale: late.spread / delays.lateness(),
             evidence: -2.0 * late.log_evidence,
+            likelier: times,
         };
         let drops = Judged {
             name: "drops",
@@ -90,8 +99,8 @@ pub fn scatter(setup: &Setup, fit: &Fit) -> Vec<ReadingEffect> {
             value: Value { value: lost.rate, std: (lost.rate / lost.of as f64).sqrt(), unit: String::new() },
             // The variance grows with the rate.
             scale: lost.rate.sqrt(),
-            // A mean lateness is another effect.
-            evidence: -2.0 * (lost.gain - (late.gain - late.log_evidence).max(0.0)),
+            evidence: -2.0 * (lost.gain - of_mean),
+            likelier: !times,
         };
         // What wants to be larger than it can be is something else.
         if late.spread < 0.95 * MOST_PERIODS * period {
@@ -356,6 +365,8 @@ struct Judged {
     /// Size of the shares of the commands that it leaves.
     scale: f64,
     evidence: f64,
+    /// Whether it is the likelier of the two.
+    likelier: bool,
 }
 
 impl Judged {
@@ -366,7 +377,8 @@ impl Judged {
         let natural = train.floor(0.0) / root_mean_square(&train.size);
         let by_size = train.by_size() - exchanged;
         let evidence = self.evidence.max(-2.0 * by_size);
-        let notable = train.is_white() && self.scale > NOTABLE * natural && density.with > density.without;
+        let predicts = density.with > density.without - LOST_DENSITY;
+        let notable = self.likelier && train.is_white() && self.scale > NOTABLE * natural && predicts;
         Some(found(self.name, place.into(), (self.parameter, self.value), evidence, notable, density))
     }
 }

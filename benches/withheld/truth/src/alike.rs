@@ -116,4 +116,3 @@ impl Span {
         all
     }
 }
-

@@ -231,7 +231,8 @@ fn what_needs_other_parameters_to_look_like_it_joins_as_well() {
 fn classes_of_a_pair_are_those_beside_the_other_one() {
     let bias = cause(Kind::Bias, Place::Output(0), [0.03, 0.0, 0.0, 0.0]);
     let spring = cause(Kind::Spring, Place::Joint(0), [0.2, 0.1, 0.0, 0.0]);
-    let case = Case { system: ALL[1], causes: vec![bias, spring], duration: 6.0, poor: false, seed: 7, take: 0 };
+    let case =
+        Case { system: ALL[1], causes: vec![bias, spring], duration: 6.0, poor: false, seed: 7, take: 0 };
     let (_, class) = judge(&case, &case.run());
     assert_eq!(class[..2], ["bias@output:position", "spring@joint:shaft"]);
     assert!(class.contains(&"offset@input:goal".to_owned()), "{class:?}");
