@@ -69,7 +69,7 @@ pub fn scatter(setup: &Setup, fit: &Fit) -> Vec<ReadingEffect> {
     let mut effects: Vec<ReadingEffect> = Vec::new();
     for (o, output) in system.outputs.iter().enumerate() {
         let place = Place::new(PlaceKind::Output, output.name.clone()).to_string();
-        let [Some(train), Some(test)] = passes.each_ref().map(|p| of_reading(setup, p, o)) else { continue };
+        let [Some(train), Some(test)] = passes.each_ref().map(|p| of_reading(setup, p, &noise, o)) else { continue };
         effects.extend(judge_times(&train, &test, &place));
     }
     for (i, input) in system.inputs.iter().enumerate() {
@@ -121,7 +121,7 @@ pub fn scatter(setup: &Setup, fit: &Fit) -> Vec<ReadingEffect> {
 /// Whether the times of one output's readings scatter under a fitted model of the mean.
 pub(super) fn times_scatter(setup: &Setup, fit: &Fit, output: usize) -> bool {
     let noise = open_noise(setup, fit);
-    let parts = [&setup.train, &setup.test].map(|s| of_reading(setup, &pass(setup, fit, &noise, s), output));
+    let parts = [&setup.train, &setup.test].map(|s| of_reading(setup, &pass(setup, fit, &noise, s), &noise, output));
     match parts {
         [Some(train), Some(test)] => judge_times(&train, &test, "").is_some_and(|jitter| jitter.significant),
         _ => false,
@@ -131,8 +131,9 @@ pub(super) fn times_scatter(setup: &Setup, fit: &Fit, output: usize) -> bool {
 /// The noise of one output's readings (standard deviation) where their times scatter by `spread` (s): what scatter leaves
 /// of the innovations.
 pub(crate) fn noise_beside(setup: &Setup, fit: &Fit, output: usize, spread: f64) -> Option<f64> {
-    let pass = pass(setup, fit, &open_noise(setup, fit), &setup.train);
-    let floor = of_reading(setup, &pass, output)?.floor(spread);
+    let noise = open_noise(setup, fit);
+    let pass = pass(setup, fit, &noise, &setup.train);
+    let floor = of_reading(setup, &pass, &noise, output)?.floor(spread);
     let own = (0..pass.readings()).filter(|k| pass.output[*k] == output);
     let variance = median(&mut own.map(|k| pass.variance[k]).collect::<Vec<_>>());
     Some(floor * variance.sqrt())
@@ -220,15 +221,17 @@ fn open_noise(setup: &Setup, fit: &Fit) -> Noise {
     noise
 }
 
-/// What a second of lateness changes in each innovation of one output: the predicted reading's rate.
-fn of_reading(setup: &Setup, pass: &Pass, output: usize) -> Option<Sensitivity> {
+/// What a second of lateness changes in each innovation of one output: the predicted reading's rate. The readings before
+/// were late as well, by other times, and the prediction follows them: an innovation has of either as much as of noise.
+fn of_reading(setup: &Setup, pass: &Pass, noise: &Noise, output: usize) -> Option<Sensitivity> {
     let (stamp, _) = setup.experiment.output(output);
+    let own = noise.log_output[output].exp();
     let mut found = Sensitivity { innovations: Vec::new(), size: Vec::new() };
     for k in (0..pass.readings()).filter(|k| pass.output[*k] == output) {
         let at = stamp.partition_point(|s| *s < pass.stamp[k]);
         if let Some(rate) = rate(setup, output, at) {
             found.innovations.push(pass.innovation[k] / pass.variance[k].sqrt());
-            found.size.push(rate.abs() / pass.variance[k].sqrt());
+            found.size.push(rate.abs() / own.min(pass.variance[k]).sqrt());
         }
     }
     found.usable()
