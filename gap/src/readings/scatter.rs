@@ -69,7 +69,9 @@ pub fn scatter(setup: &Setup, fit: &Fit) -> Vec<ReadingEffect> {
     let mut effects: Vec<ReadingEffect> = Vec::new();
     for (o, output) in system.outputs.iter().enumerate() {
         let place = Place::new(PlaceKind::Output, output.name.clone()).to_string();
-        let [Some(train), Some(test)] = passes.each_ref().map(|p| of_reading(setup, p, &noise, o)) else { continue };
+        let [Some(train), Some(test)] = passes.each_ref().map(|p| of_reading(setup, p, &noise, o)) else {
+            continue;
+        };
         effects.extend(judge_times(&train, &test, &place));
     }
     for (i, input) in system.inputs.iter().enumerate() {
@@ -121,7 +123,8 @@ pub fn scatter(setup: &Setup, fit: &Fit) -> Vec<ReadingEffect> {
 /// Whether the times of one output's readings scatter under a fitted model of the mean.
 pub(super) fn times_scatter(setup: &Setup, fit: &Fit, output: usize) -> bool {
     let noise = open_noise(setup, fit);
-    let parts = [&setup.train, &setup.test].map(|s| of_reading(setup, &pass(setup, fit, &noise, s), &noise, output));
+    let parts =
+        [&setup.train, &setup.test].map(|s| of_reading(setup, &pass(setup, fit, &noise, s), &noise, output));
     match parts {
         [Some(train), Some(test)] => judge_times(&train, &test, "").is_some_and(|jitter| jitter.significant),
         _ => false,
