@@ -301,31 +301,14 @@ impl Kicks {
         Late { spread, std: width * spread, log_evidence, gain: top + 0.5 * self.in_time() }
     }
 
-    /// Commands of which some are lost: one p for each, in a factorised posterior. The inference begins with none and with
-    /// shares that are Gaussian: each of the two ends in the other's place where that is likelier.
+    /// Commands of which some are lost: one p for each, in a factorised posterior.
     pub(super) fn lost(&self) -> Lost {
-        let shares = self.shares().map(|s| s.iter().map(|s| s.clamp(FIRST_RATE, 1.0 - FIRST_RATE)).collect());
-        let plain = self.lost_from(vec![FIRST_RATE; self.kicks.len()]);
-        match shares.map(|shares| self.lost_from(shares)) {
-            Some(other) if other.gain > plain.gain => other,
-            _ => plain,
-        }
-    }
-
-    /// The most probable Gaussian shares, of which a loss is 1, with the variance that losses at [`FIRST_RATE`] have.
-    fn shares(&self) -> Option<Vec<f64>> {
-        let typical = self.energy / self.readings as f64;
-        let band = Cholesky::new(&self.gram, typical / (FIRST_RATE * (1.0 - FIRST_RATE)))?;
-        Some(band.solve(&self.along))
-    }
-
-    fn lost_from(&self, mut p: Vec<f64>) -> Lost {
         let n = self.readings as f64;
         let count = self.kicks.len() as f64;
-        let mut rate = (p.iter().sum::<f64>() / count).clamp(0.5 / count, 0.9);
+        let mut variance = self.energy / n;
+        let (mut rate, mut p) = (FIRST_RATE, vec![FIRST_RATE; self.kicks.len()]);
         // What the probabilities of the others leave along each response.
         let mut along = self.by_gram(&p);
-        let mut variance = self.left(&p, &along) / n;
         for _ in 0..SWEEPS {
             let mut moved: f64 = 0.0;
             let odds = (rate / (1.0 - rate)).ln();

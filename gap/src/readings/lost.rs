@@ -127,7 +127,7 @@ fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> Option<(f64,
     let count = |which: &dyn Fn(&usize) -> bool| all.iter().filter(|k| which(k)).count();
     let cost = fit.innovation.evidence_cost + code(count(&trained), count(&|k| trained(k) && differ(k)));
     let rate = count(&differ) as f64 / all.len().max(1) as f64;
-    if rate > MOST || rate == 0.0 {
+    if rate > MOST || rate == 0.0 || is_late(&clean, &fit, input) {
         return None;
     }
     let std = (rate * (1.0 - rate) / all.len() as f64).sqrt();
@@ -144,11 +144,14 @@ fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> Option<(f64,
     Some((cost, LostCommands { input, recorded: recorded.clone(), acted, effect }))
 }
 
+/// Whether the times of the commands that arrived scatter: then those that were latest passed for lost.
+fn is_late(setup: &Setup, fit: &Fit, input: usize) -> bool {
+    let kicks = Kicks::new(setup, fit, &fit.innovation.noise, input, f64::INFINITY);
+    kicks.is_some_and(|kicks| kicks.late(MOST_PERIODS * kicks.lateness()).log_evidence > TOLD)
+}
+
 /// Losses that one look at the innovations shows.
 fn round(setup: &Setup, fit: &Fit, input: usize) -> Option<Lost> {
-    let kicks = Kicks::new(setup, fit, &fit.innovation.noise, input, f64::INFINITY)?;
-    let lost = kicks.lost();
-    // Commands that are late by chance look like some that are lost.
-    let told = lost.gain > TOLD && lost.rate < MOST && !lost.commands.is_empty();
-    (told && lost.gain > kicks.late(MOST_PERIODS * kicks.lateness()).gain).then_some(lost)
+    let lost = Kicks::new(setup, fit, &fit.innovation.noise, input, f64::INFINITY)?.lost();
+    (lost.gain > TOLD && lost.rate < MOST && !lost.commands.is_empty()).then_some(lost)
 }
