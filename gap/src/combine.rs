@@ -40,15 +40,9 @@ const NOTHING: f64 = 20.0;
 const TWIN: f64 = 0.01;
 
 /// Combinations that are worth their further effects; `fits` are single effects in their best forms, the best first, and
-/// `library` has all forms.
+/// `forms` are all of them.
 #[must_use]
-pub fn combinations(
-    setup: &Setup,
-    null: &Fit,
-    fits: &[Fit],
-    library: &[EffectAt],
-    judge: &Judge,
-) -> Vec<Fit> {
+pub fn combinations(setup: &Setup, null: &Fit, fits: &[Fit], forms: &[EffectAt], judge: &Judge) -> Vec<Fit> {
     let pool: Vec<EffectAt> = fits.iter().filter_map(|f| f.hypothesis.effects.first().cloned()).collect();
     let mut found: Vec<Fit> = Vec::new();
     for base in beginnings(setup, null, fits, &pool, judge) {
@@ -56,7 +50,7 @@ pub fn combinations(
             break;
         }
         let mut base = grown(setup, null, base.clone(), &pool, judge);
-        if let Some(other) = exchanged(setup, null, &base, fits, (&pool, library), judge) {
+        if let Some(other) = exchanged(setup, null, &base, fits, (&pool, forms), judge) {
             base = grown(setup, null, other, &pool, judge);
         }
         if setup.stop.asked() {
@@ -99,7 +93,7 @@ fn exchanged(
     null: &Fit,
     fit: &Fit,
     fits: &[Fit],
-    (pool, library): (&[EffectAt], &[EffectAt]),
+    (pool, forms): (&[EffectAt], &[EffectAt]),
     judge: &Judge,
 ) -> Option<Fit> {
     let effects = &fit.hypothesis.effects;
@@ -112,12 +106,12 @@ fn exchanged(
             return None;
         }
         let rest = without(setup, null, fit, left_out, fits);
-        let forms = library.iter().filter(|at| at.label() == own.label() && *at != own);
+        let others_of = forms.iter().filter(|at| at.label() == own.label() && *at != own);
         let with = |form: &EffectAt| {
             let effects = rest.hypothesis.effects.iter().chain([form]).cloned().collect::<Vec<_>>();
-            crate::library::hypothesis(setup, &effects)
+            library::hypothesis(setup, &effects)
         };
-        others.extend(fit_all(setup, &rest, forms.map(with).collect(), Width::FURTHER, &|_| ()));
+        others.extend(fit_all(setup, &rest, others_of.map(with).collect(), Width::FURTHER, &|_| ()));
         // The last one was chosen beside all others.
         if left_out + 1 < effects.len() {
             others.extend(extend(setup, &rest, pool, judge));

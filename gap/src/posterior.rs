@@ -115,10 +115,11 @@ pub fn weigh(
 ) -> Posterior {
     let judge = Judge::new(null, &fits);
     fits.sort_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
-    let library: Vec<EffectAt> = fits.iter().filter_map(|f| f.hypothesis.effects.first().cloned()).collect();
+    let all_forms: Vec<EffectAt> =
+        fits.iter().filter_map(|f| f.hypothesis.effects.first().cloned()).collect();
     let forms = best_forms(&mut fits);
     let (mut forms, count) = (forms, fits.len());
-    let combined = combine::combinations(setup, null, &fits, &library, &judge);
+    let combined = combine::combinations(setup, null, &fits, &all_forms, &judge);
     forms.resize(count + combined.len(), 1.0);
     fits.extend(combined);
     let judge = Judge::new(null, &fits);

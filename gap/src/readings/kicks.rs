@@ -166,38 +166,25 @@ impl Kicks {
         if kicks.len() < 10 || !finite {
             return None;
         }
-        let mut all = Kicks {
-            kicks,
-            readings: innovations.len(),
-            energy: innovations.iter().map(|e| e * e).sum(),
-            order,
-            stamp: plain.stamp,
-            whitened,
-            along: Vec::new(),
-            gram: Vec::new(),
-        };
-        all.multiply(&innovations);
-        Some(all)
-    }
-
-    /// The products of all responses with the innovations, in the order of their stamps, and with each other.
-    fn multiply(&mut self, innovations: &[f64]) {
-        let kicks = &self.kicks;
-        self.along = kicks.iter().map(|k| dot(&k.response, &innovations[k.first..])).collect();
-        self.gram = (0..kicks.len())
+        let along = kicks.iter().map(|k| dot(&k.response, &innovations[k.first..])).collect();
+        let gram = (0..kicks.len())
             .map(|k| {
                 let own = &kicks[k];
                 let later = kicks[k..].iter().take_while(|o| o.first < own.first + own.response.len());
                 later.map(|o| dot(&own.response[o.first - own.first..], &o.response)).collect()
             })
             .collect();
-    }
-
-    /// By how much the change of a command that stands for another one is larger.
-    fn exchange(&self, k: usize) -> f64 {
-        let count = self.kicks.len();
-        let least = LEAST_CHANGE * self.kicks.iter().map(|k| k.change.abs()).fold(0.0, f64::max);
-        self.kicks[(k + count / 2) % count].change / self.kicks[k].change.abs().max(least)
+        let energy = innovations.iter().map(|e| e * e).sum();
+        Some(Kicks {
+            kicks,
+            readings: innovations.len(),
+            energy,
+            order,
+            stamp: plain.stamp,
+            whitened,
+            along,
+            gram,
+        })
     }
 
     /// Sum over all commands of the squared response of each reading, in the order of the walk: the variance that shares
@@ -208,7 +195,10 @@ impl Kicks {
 
     /// The same if every command changed by as much as another one, half of the log away, does.
     pub(super) fn exchanged_squares(&self) -> Vec<f64> {
-        self.squares_of(|k| self.exchange(k))
+        let count = self.kicks.len();
+        let least = LEAST_CHANGE * self.kicks.iter().map(|k| k.change.abs()).fold(0.0, f64::max);
+        let other = |k: usize| self.kicks[(k + count / 2) % count].change;
+        self.squares_of(|k| other(k) / self.kicks[k].change.abs().max(least))
     }
 
     fn squares_of(&self, scale: impl Fn(usize) -> f64) -> Vec<f64> {

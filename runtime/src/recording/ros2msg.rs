@@ -117,7 +117,7 @@ pub fn field_names(leaves: &[String]) -> Vec<String> {
 }
 
 /// `name`, or the first of `name_2`, `name_3`, … that is free.
-fn distinct(name: String, taken: &mut BTreeSet<String>) -> String {
+pub(crate) fn distinct(name: String, taken: &mut BTreeSet<String>) -> String {
     let mut candidate = name.clone();
     let mut number = 2;
     while !taken.insert(candidate.clone()) {

@@ -8,11 +8,12 @@ use std::path::{Path, PathBuf};
 use mcap::records::{MessageHeader, Record, op};
 
 use super::clock::{Clock, UnitFrom};
-use super::header::{clean, distinct};
+use super::header::clean;
 use super::ros::Definition;
 use super::value::{Numbers, Value, of_json, stamp};
 use super::{ForeignError, Found, Group, Series, suggest};
 use crate::recording::container::{Cut, Raw, Walk, parse, unpack};
+use crate::recording::ros2msg::distinct;
 
 /// Reads a bag's folder: all MCAP files in it, in the order of their names.
 pub(super) fn folder(path: &Path, progress: &mut dyn FnMut(u64)) -> Result<Found, ForeignError> {

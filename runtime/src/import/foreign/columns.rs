@@ -3,8 +3,9 @@
 use std::collections::BTreeSet;
 
 use super::clock::{Clock, TimeUnit, is_date, is_day};
-use super::header::{self, clean, distinct};
+use super::header::{self, clean};
 use super::{Group, Series};
+use crate::recording::ros2msg::distinct;
 
 /// A column as it was read.
 #[derive(Debug)]

@@ -117,17 +117,6 @@ pub(super) fn clean(name: &str) -> String {
     if clean.is_empty() { "signal".into() } else { clean.into() }
 }
 
-/// `name`, or the first of `name_2`, `name_3`, … that is not among `taken`.
-pub(super) fn distinct(name: String, taken: &mut std::collections::BTreeSet<String>) -> String {
-    let mut candidate = name.clone();
-    let mut number = 2;
-    while !taken.insert(candidate.clone()) {
-        candidate = format!("{name}_{number}");
-        number += 1;
-    }
-    candidate
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -2,9 +2,10 @@
 
 use std::collections::BTreeSet;
 
-use super::header::{clean, distinct};
+use super::header::clean;
 use super::{Found, TimeUnit, suggest};
 use crate::recording::log::Role;
+use crate::recording::ros2msg::distinct;
 
 /// A series that is wanted.
 #[derive(Clone, Debug, PartialEq)]

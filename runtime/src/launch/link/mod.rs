@@ -14,7 +14,11 @@ mod hosts;
 mod mirror;
 mod page;
 #[cfg(feature = "link")]
+mod post;
+#[cfg(feature = "link")]
 mod serve;
+#[cfg(feature = "link")]
+mod session;
 #[cfg(feature = "link")]
 mod wire;
 
