@@ -108,8 +108,7 @@ fn every_template_is_diagnosed_as_it_is_written() {
                 "saturation",
             ],
         );
-        // A height alone shows little of rotors and of speed: what is said of it is the diagnosis' affair.
-        assert!(template == "quadrotor" || found["gap"]["detected"] == false, "{template}: {found}");
+        assert!(found["gap"]["detected"] == false, "{template}: {found}");
         assert!(found["gap"]["p_value"].is_number(), "{template}: {found}");
         fail(&folder, &["new", "system"], 2, &["system.toml exists already", "--out"]);
     }

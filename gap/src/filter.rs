@@ -334,6 +334,12 @@ impl Pass {
         self.innovation.len()
     }
 
+    /// 1 for each reading that the likelihood is of, 0 for one that is given.
+    #[must_use]
+    pub fn weights(&self) -> Vec<f64> {
+        self.weighs.iter().map(|weighs| f64::from(u8::from(*weighs))).collect()
+    }
+
     /// Innovations divided by their predicted standard deviation.
     #[must_use]
     pub fn whitened(&self) -> Vec<f64> {

@@ -1,22 +1,23 @@
 //! Fits by innovation likelihood: the filter, its noise re-estimated, under one hypothesis.
 
+use std::sync::Arc;
+
 use crate::filter::{Noise, Pass, Start, filter};
 use crate::fit::{Local, Minimum, minimise};
+use crate::guess::Guess;
 use crate::hypothesis::Hypothesis;
 use crate::shooting::{lateness, locate};
 use crate::simulator::{LANES, Run, Simulator};
 
-/// A stretch of a recording, and the state guessed at its start.
+/// A stretch of a recording, and the states guessed at its start.
 #[derive(Clone, Debug)]
 pub struct Segment {
     /// First stamp (s).
     pub from: f64,
     /// End (s), not included.
     pub to: f64,
-    /// The state guessed at the first reading.
-    pub state: Vec<f64>,
-    /// Standard deviation of that guess: large where nothing is known.
-    pub std: Vec<f64>,
+    /// Where the state may be before its readings tell it.
+    pub guess: Arc<Guess>,
 }
 
 /// Bounds and scales of the noise, the same for every hypothesis.
@@ -104,7 +105,8 @@ fn stretches(simulator: &dyn Simulator, run: &dyn Run, segments: &[Segment], out
             let to = if piece + 1 == pieces { segment.to } else { stamps[next] };
             let place = if pieces == 1 { Some((first, end)) } else { locate(run.events(), late, from, to) };
             let Some((first, end)) = place else { continue };
-            let (state, std) = simulator.start(&segment.state, &segment.std, run.events()[first].time);
+            let guess = &segment.guess;
+            let (state, std) = simulator.start(guess.state(from), guess.std(), run.events()[first].time);
             starts.push(Start { first, end, from, counts_from, weighs_from, to, state, std });
         }
     }

@@ -131,12 +131,23 @@ fn calibrated(setup: &Setup) -> Vec<Fitted> {
                 prior,
                 low,
                 high,
-                scale: p.std.unwrap_or((0.1 * p.value.abs()).max(0.02 * (high - low)).min(high - low)),
+                scale: p.std.unwrap_or(natural(p.value, low, high)),
                 starts: Vec::new(),
             })
         })
         .collect()
 }
+
+/// The natural size of a parameter between bounds: of the order of its value, and of its range where that has one.
+fn natural(value: f64, low: f64, high: f64) -> f64 {
+    // Bounds that are decades apart leave open even in which unit a value is: they say nothing of its size.
+    let open = low > 0.0 && high > DECADES * low;
+    let of_range = if open { 0.0 } else { 0.02 * (high - low) };
+    (0.1 * value.abs()).max(of_range).min(high - low)
+}
+
+/// Ratio of bounds from which they are no measure of what lies between them.
+const DECADES: f64 = 100.0;
 
 /// A parameter that is held nominal, let free: how far off it may be is taken as a third of its value.
 fn free_parameter(setup: &Setup, index: usize) -> Fitted {

@@ -42,12 +42,15 @@ pub const INEXACT: f64 = 1.5;
 /// Share of a parameter's range within which it counts as resting on a bound.
 const RESTS: f64 = 1e-3;
 
+/// Natural sizes of a parameter that count as its range where that is wider.
+const SIZES: f64 = 50.0;
+
 impl Fit {
     /// Whether a parameter ended on one of its bounds: the data ask for more than it may move.
     #[must_use]
     pub fn rests(&self, parameter: usize) -> bool {
         let (fitted, value) = (&self.hypothesis.fitted[parameter], self.theta()[parameter]);
-        let near = RESTS * (fitted.high - fitted.low);
+        let near = RESTS * (fitted.high - fitted.low).min(SIZES * fitted.scale);
         near.is_finite() && (value - fitted.low <= near || fitted.high - value <= near)
     }
 

@@ -1,11 +1,14 @@
 //! What a diagnosis knows before it fits anything: segments, noise, natural sizes.
 
+use std::sync::Arc;
+
 use parallax_model::plant::Plant;
-use parallax_model::system::{Equations, Initial, Point};
+use parallax_model::system::{Equations, Point};
 
 use crate::equations::EquationsSimulator;
 use crate::experiment::Experiment;
 use crate::filter::{Noise, Pass};
+use crate::guess::{Guess, kinematic};
 use crate::innovation::{NoiseModel, Segment, walk};
 use crate::noise;
 use crate::simulator::Simulator;
@@ -157,8 +160,8 @@ impl Setup {
         for supply in experiment.supplies.iter_mut().flatten() {
             supply.voltage = supply.voltage.averaged(period);
         }
-        let (state, std) = guess(&equations, &experiment, &output_scale, period);
-        let (train, test) = segments(&experiment, horizon, period, (&state, &std), HELD_OUT);
+        let guess = Arc::new(Guess::of(&equations, &experiment, &output_scale, period));
+        let (train, test) = segments(&experiment, horizon, period, &guess, HELD_OUT);
         let scale: Vec<f64> = (0..equations.system().states.len())
             .map(|i| f64::from(u8::from(!kinematic(&equations, i))))
             .collect();
@@ -212,9 +215,8 @@ impl Setup {
 
     /// Holds out another of every three blocks, or recordings.
     pub fn hold_out(&mut self, which: usize) {
-        let Some(Segment { state, std, .. }) = self.train.first().cloned() else { return };
-        (self.train, self.test) =
-            segments(&self.experiment, self.horizon, self.period, (&state, &std), which % 3);
+        let Some(guess) = self.train.first().map(|segment| segment.guess.clone()) else { return };
+        (self.train, self.test) = segments(&self.experiment, self.horizon, self.period, &guess, which % 3);
     }
 
     /// Runs the nominal model once, corrected by the readings, to see how large its motions are.
@@ -223,13 +225,23 @@ impl Setup {
         let plant = Plant::new(self.equations.clone(), &[], Vec::new(), vec![1.0; joints]);
         let simulator = EquationsSimulator::new(plant, Vec::new(), &self.experiment, self.step);
         let (n, width) = (self.equations.system().states.len(), simulator.states());
-        let all: Vec<Segment> = self.train.iter().chain(&self.test).cloned().collect();
+        let mut all: Vec<Segment> = self.train.iter().chain(&self.test).cloned().collect();
         // Start from a process noise that lets the readings lead, then let the likelihood choose.
         let mut noise = self.noise.initial.clone();
         noise.log_process = 2.0 * self.typical_rate().max(1e-12).ln();
         let pass = walk(&simulator, &all, &self.noise, &noise, &[]);
+        let reach = GAP.0 * self.horizon;
+        if let Some(first) = all.first() {
+            let guess = Arc::new(first.guess.informed(&self.equations, &pass, reach));
+            all.iter_mut().for_each(|segment| segment.guess = guess.clone());
+        }
+        let pass = walk(&simulator, &all, &self.noise, &noise, &[]);
         noise = pass.refit_noise(&self.noise.scale, &noise, &self.noise.limits, self.noise.process_floor);
         let pass = walk(&simulator, &all, &self.noise, &noise, &[]);
+        if let Some(first) = all.first() {
+            let guess = Arc::new(first.guess.informed(&self.equations, &pass, reach));
+            self.train.iter_mut().chain(&mut self.test).for_each(|segment| segment.guess = guess.clone());
+        }
         let parameters = self.equations.nominal();
         let mut rates = vec![Vec::new(); n];
         let mut speeds = vec![Vec::new(); joints];
@@ -328,56 +340,6 @@ impl Setup {
     }
 }
 
-/// A state whose derivative is another state alone: it integrates, and no noise enters it.
-fn kinematic(equations: &Equations, state: usize) -> bool {
-    derivative_is_state(equations, state).is_some()
-}
-
-fn derivative_is_state(equations: &Equations, state: usize) -> Option<usize> {
-    let system = equations.system();
-    let text = system.states[state].derivative.text();
-    system.states.iter().position(|s| s.name == text.trim())
-}
-
-/// Where the states may be at an arbitrary time: at zero or their declared start, within what the outputs suggest.
-fn guess(
-    equations: &Equations,
-    experiment: &Experiment,
-    output_scale: &[f64],
-    period: f64,
-) -> (Vec<f64>, Vec<f64>) {
-    let system = equations.system();
-    let n = system.states.len();
-    let mut state = vec![0.0; n];
-    let mut std = vec![f64::NAN; n];
-    for (i, s) in system.states.iter().enumerate() {
-        if let Some(output) = system.outputs.iter().position(|o| o.value.text().trim() == s.name) {
-            let (_, values) = experiment.output(output);
-            let values = noise::unwrapped(&values, experiment.wraps[output]);
-            let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
-            state[i] = mean;
-            std[i] = 10.0 * output_scale[output].max(1e-9);
-            if let Some(rate) = derivative_is_state(equations, i) {
-                let steps: Vec<f64> = values.windows(2).map(|w| (w[1] - w[0]) / period.max(1e-9)).collect();
-                std[rate] = 3.0 * root_mean_square(&steps).max(1e-9);
-            }
-        }
-    }
-    for (i, s) in system.states.iter().enumerate() {
-        if let Initial::Calibrated { value, low, high } = s.initial {
-            state[i] = value;
-            std[i] = 0.5 * (high - low);
-        } else if let Initial::Fixed(value) = s.initial {
-            state[i] = value;
-        }
-        if std[i].is_nan() {
-            let largest = output_scale.iter().copied().fold(1.0, f64::max);
-            std[i] = 10.0 * largest.max(state[i].abs());
-        }
-    }
-    (state, std)
-}
-
 /// Which of every three blocks is held out at first.
 pub const HELD_OUT: usize = 2;
 
@@ -387,12 +349,12 @@ fn segments(
     experiment: &Experiment,
     horizon: f64,
     period: f64,
-    (state, std): (&[f64], &[f64]),
+    guess: &Arc<Guess>,
     held_out: usize,
 ) -> (Vec<Segment>, Vec<Segment>) {
     let mut train: Vec<Segment> = Vec::new();
     let mut test = Vec::new();
-    let segment = |from: f64, to: f64| Segment { from, to, state: state.to_vec(), std: std.to_vec() };
+    let segment = |from: f64, to: f64| Segment { from, to, guess: guess.clone() };
     let spans = experiment.spans();
     let whole = spans.len() >= 3;
     for (k, (from, to)) in spans.iter().copied().enumerate() {

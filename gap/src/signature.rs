@@ -19,40 +19,49 @@ const FREQUENCIES: usize = 3;
 #[derive(Clone, Debug)]
 pub struct Nuisance {
     basis: DMatrix<f64>,
-    /// Whitened innovations of the null fit.
+    /// Whitened innovations of the null fit, zero where the likelihood is not of them.
     pub innovations: DVector<f64>,
+    /// 1 for each reading that the likelihood is of, 0 for those that only tell where the states began: their predicted
+    /// variances are those of a guess.
+    counts: DVector<f64>,
 }
 
 impl Nuisance {
     /// From the null fit.
     #[must_use]
     pub fn new(null: &Fit) -> Self {
-        let innovations = DVector::from_vec(null.innovation.pass.whitened());
+        let counts = DVector::from_vec(null.innovation.pass.weights());
+        let innovations = DVector::from_vec(null.innovation.pass.whitened()).component_mul(&counts);
         let p = null.hypothesis.fitted.len();
         let rows = null.innovation.pass.readings();
-        let columns =
+        let mut columns =
             DMatrix::from_row_slice(rows, p, &null.innovation.pass.whitened_by_parameter()[..rows * p]);
+        columns.column_iter_mut().for_each(|mut column| column.component_mul_assign(&counts));
         // A parameter that rests on its bound is not free to take an effect's place.
         let free: Vec<usize> = (0..p).filter(|j| !null.rests(*j)).collect();
-        Nuisance { basis: orthonormal(&columns.select_columns(&free)), innovations }
+        Nuisance { basis: orthonormal(&columns.select_columns(&free)), innovations, counts }
     }
 
     /// Innovations without nuisance directions.
     #[cfg(test)]
     pub(crate) fn plain(innovations: DVector<f64>) -> Self {
-        Nuisance { basis: DMatrix::zeros(innovations.len(), 0), innovations }
+        let counts = DVector::from_element(innovations.len(), 1.0);
+        Nuisance { basis: DMatrix::zeros(innovations.len(), 0), innovations, counts }
     }
 
     /// A signature with the nuisance directions projected out.
     #[must_use]
     pub fn project(&self, signature: &DVector<f64>) -> DVector<f64> {
-        signature - &self.basis * (self.basis.transpose() * signature)
+        let seen = signature.component_mul(&self.counts);
+        &seen - &self.basis * (self.basis.transpose() * &seen)
     }
 
     /// Columns with the nuisance directions projected out.
     #[must_use]
     pub fn project_columns(&self, columns: &DMatrix<f64>) -> DMatrix<f64> {
-        columns - &self.basis * (self.basis.transpose() * columns)
+        let mut seen = columns.clone();
+        seen.column_iter_mut().for_each(|mut column| column.component_mul_assign(&self.counts));
+        &seen - &self.basis * (self.basis.transpose() * &seen)
     }
 }
 

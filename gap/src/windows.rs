@@ -105,7 +105,7 @@ pub fn windows(setup: &Setup, simulator: &dyn Simulator, walked: &Pass) -> Vec<W
             }
             // The filter's state at the window's first reading; it has seen all earlier ones.
             let found = &walked.state[first * known..(first + 1) * known];
-            let (mut state, std) = simulator.start(&found[..n], &segment.std, walked.stamp[first]);
+            let (mut state, std) = simulator.start(&found[..n], segment.guess.std(), walked.stamp[first]);
             if state.len() == known {
                 state.copy_from_slice(found);
             }

@@ -108,9 +108,10 @@ impl<'a> Variant<'a> {
             EquationsSimulator::new(self.plant.clone(), Vec::new(), &setup.experiment, setup.step)
                 .with_extra_std(extra_std(setup, &self.plant));
         let nothing = || ClosedLoopError::Start { title: self.seen.log.title.clone(), from };
-        let guess = setup.train.first().ok_or_else(nothing)?;
+        let guess = &setup.train.first().ok_or_else(nothing)?.guess;
         let span = (from, (from + setup.horizon).min(to));
-        Start::fit(&simulator, span, (&guess.state, &guess.std), &setup.output_noise).ok_or_else(nothing)
+        Start::fit(&simulator, span, (guess.state(from), guess.std()), &setup.output_noise)
+            .ok_or_else(nothing)
     }
 
     /// The machine on its way from `start`; `seed` draws its state and what happens by chance.

@@ -5,11 +5,14 @@
 //! parameters may follow: what its sensitivities and what the log says of them allow is taken out. What is left, in
 //! noise units, is the separation δ of the two; δ²/2 is the log evidence to be expected against the other.
 
+use std::sync::Arc;
+
 use nalgebra::{DMatrix, DVector};
 use parallax_model::system::Point;
 
 use crate::experiment::{Experiment, Held, Sample, SupplyVoltage};
 use crate::filter::Noise;
+use crate::guess::Guess;
 use crate::innovation::{Segment, walk};
 use crate::library;
 use crate::noise::unwrapped;
@@ -65,7 +68,7 @@ impl Trial {
             wraps: old.wraps.clone(),
             ..Experiment::default()
         };
-        let std = setup.train.first().map_or_else(|| vec![1.0; state.len()], |s| s.std.clone());
+        let std = setup.train.first().map_or_else(|| vec![1.0; state.len()], |s| s.guess.std().to_vec());
         Trial { setup, state: state.to_vec(), std, duration }
     }
 
@@ -142,8 +145,11 @@ impl Trial {
         for (sample, value) in setup.experiment.samples.iter_mut().zip(&shown.values) {
             sample.value = *value;
         }
-        let segment =
-            Segment { from: 0.0, to: self.duration + 1e-6, state: self.state.clone(), std: self.std.clone() };
+        let segment = Segment {
+            from: 0.0,
+            to: self.duration + 1e-6,
+            guess: Arc::new(Guess::constant(self.state.clone(), self.std.clone())),
+        };
         let simulator = library::simulator(&setup, &other.hypothesis, Vec::new());
         let pass = walk(&simulator, &[segment], &setup.noise, noise, other.theta());
         let innovations = DVector::from_vec(pass.whitened());
@@ -184,7 +190,7 @@ pub fn calm(setup: &Setup, null: &Fit, rest: &[f64]) -> Vec<f64> {
     let n = setup.equations.system().states.len();
     let pass = &null.innovation.pass;
     let stride = pass.state.len() / pass.readings().max(1);
-    let fallback = setup.train.first().map_or_else(|| vec![0.0; n], |s| s.state.clone());
+    let fallback = setup.train.first().map_or_else(|| vec![0.0; n], |s| s.guess.state(s.from).to_vec());
     if stride < n || pass.readings() == 0 {
         return fallback;
     }

@@ -29,7 +29,11 @@ fn error(setup: &Setup, simulator: &dyn Simulator, theta: &[f64]) -> Squares {
     for segment in &setup.train {
         let pass = walk(&nominal, std::slice::from_ref(segment), &setup.noise, &loud, &stated);
         let n = nominal.states();
-        let mut along = Along::new(simulator.start(&segment.state, &segment.std, segment.from).0, p, 0);
+        let mut along = Along::new(
+            simulator.start(segment.guess.state(segment.from), segment.guess.std(), segment.from).0,
+            p,
+            0,
+        );
         // A hypothesis of a late sensor has its last events before the last stamps.
         let last = run.events().len().saturating_sub(1);
         let at = |stamp: f64| run.events().partition_point(|event| event.time < stamp - 1e-9).min(last);

@@ -20,7 +20,7 @@ pub(super) fn answer(system: &System, log: &Log) -> anyhow::Result<BaselineResul
 /// Where the simulation begins: around what the first readings say.
 fn initial(setup: &Setup) -> Vec<Fitted> {
     let Some(first) = setup.train.first() else { return Vec::new() };
-    let states = first.state.iter().zip(&first.std).enumerate();
+    let states = first.guess.state(first.from).iter().zip(first.guess.std()).enumerate();
     states
         .map(|(k, (mean, std))| {
             let std = std.max(1e-9);
@@ -47,7 +47,7 @@ fn error(setup: &Setup, simulator: &dyn Simulator, theta: &[f64]) -> Squares {
     let mut run = simulator.run(&theta[..own]);
     let count = run.events().len();
     let begin = run.events().iter().position(|event| event.time >= first.from).unwrap_or(0);
-    let mut along = Along::new(simulator.start(&theta[own..], &first.std, first.from).0, own, p - own);
+    let mut along = Along::new(simulator.start(&theta[own..], first.guess.std(), first.from).0, own, p - own);
     let mut prediction = Prediction::default();
     for index in begin..count {
         if let Some(reading) = run.events()[index].reading {
