@@ -276,9 +276,25 @@ fn conclude(title: &str, options: &Options, found: Found, lost: Option<LostComma
     let recorded = lost.as_ref().map(|lost| lost.as_recorded(setup));
     let scored = recorded.as_ref().unwrap_or(setup);
     let system = setup.equations.system();
-    let best = &answers.leader(&null).clone();
-    let named = answers.answers.first().map_or(0.0, |a| a.probability) > answers.unexplained;
     let detected = p_value < 0.01 && answers.no_gap < 0.5;
+    let predicted = |setup: &Setup, fit: &Fit| {
+        let simulator = library::simulator(setup, &fit.hypothesis, fit.residuals.clone());
+        quantify::predict(setup, &simulator, fit.estimate(), &fit.innovation.noise)
+    };
+    let row = |fit: &Fit| predicted(setup, fit);
+    let refitted = predicted(scored, &null);
+    let worse = |with: &Row| quantify::closed(&refitted, with, options.seed).high < 0.0;
+    let mut with_best = None;
+    while detected && answers.names() {
+        let with = row(answers.leader(&null));
+        if lost.is_some() || !worse(&with) {
+            with_best = Some(with);
+            break;
+        }
+        answers.refute(&null);
+    }
+    let named = answers.names();
+    let best = &answers.leader(&null).clone();
     readings.extend(readings::scatter(setup, if detected && named { best } else { &null }));
     let stated = |r: &ReadingEffect| system.effects.iter().any(|e| e.name == r.name && e.place == r.place);
     let allowed = |r: &ReadingEffect| {
@@ -298,11 +314,6 @@ fn conclude(title: &str, options: &Options, found: Found, lost: Option<LostComma
         &options.explain,
     );
 
-    let predicted = |setup: &Setup, fit: &Fit| {
-        let simulator = library::simulator(setup, &fit.hypothesis, fit.residuals.clone());
-        quantify::predict(setup, &simulator, fit.estimate(), &fit.innovation.noise)
-    };
-    let row = |fit: &Fit| predicted(setup, fit);
     let nominal_theta: Vec<f64> = null.hypothesis.fitted.iter().map(|f| f.null).collect();
     let simulator = library::simulator(scored, &null.hypothesis, Vec::new());
     let pass = walk(&simulator, &setup.train, &setup.noise, &null.innovation.noise, &nominal_theta);
@@ -313,9 +324,9 @@ fn conclude(title: &str, options: &Options, found: Found, lost: Option<LostComma
         setup.noise.process_floor,
     );
     let nominal = quantify::predict(scored, &simulator, &nominal_theta, &noise);
-    let refitted = predicted(scored, &null);
-    let shown = if detected && named { best } else { &null };
-    let with_effect = if (detected && named) || lost.is_some() { row(shown) } else { refitted.clone() };
+    // With lost commands the null, too, is another one once what arrived is known.
+    let known = || if lost.is_some() { row(&null) } else { refitted.clone() };
+    let with_effect = with_best.unwrap_or_else(known);
     let black_box = answers.residual(named).map_or_else(|| with_effect.clone(), row);
 
     let rows = Rows { nominal, refitted, with_effect, black_box };

@@ -52,6 +52,8 @@ pub struct Answer {
     pub members: Vec<(EffectAt, f64, f64)>,
     /// Probability of the class.
     pub probability: f64,
+    /// Natural logarithms of prior times tempered evidence, in the order of the class.
+    logs: Vec<f64>,
 }
 
 /// All answers, by probability.
@@ -65,6 +67,9 @@ pub struct Posterior {
     pub unexplained: f64,
     /// Natural logarithm of the evidence for any gap against none, the alternatives weighed by their priors.
     pub log_evidence: f64,
+    log_no_gap: f64,
+    /// Of a residual alone.
+    log_alone: f64,
     residual_alone: Option<Fit>,
     residual_on_leader: Option<Fit>,
     judge: Judge,
@@ -94,6 +99,55 @@ impl Posterior {
             answer.members.iter_mut().for_each(|(_, probability, _)| *probability *= 1.0 - share);
         }
         self.unexplained += share * named;
+    }
+
+    /// Leaves out the leading answer, which makes predictions of held-out time worse: whatever the evidence says of how the
+    /// data differ from the model, the model with it is no nearer to the machine.
+    pub fn refute(&mut self, null: &Fit) {
+        if self.answers.is_empty() {
+            return;
+        }
+        self.answers.remove(0);
+        let best = self.answers.first().map(|answer| {
+            let member = (0..answer.logs.len()).max_by(|a, b| answer.logs[*a].total_cmp(&answer.logs[*b]));
+            let member = member.unwrap_or(0);
+            let fit = member.checked_sub(1).map_or(&answer.fit, |other| &answer.alike[other]);
+            (fit.clone(), answer.logs[member])
+        });
+        self.settle(best.as_ref().map(|(fit, log)| (fit, *log)), null);
+    }
+
+    /// Probabilities from the weights; `best` is the best fit with its weight. Gives the weight of all that is a gap.
+    fn settle(&mut self, best: Option<(&Fit, f64)>, null: &Fit) -> f64 {
+        let mut log_unknown = self.log_alone;
+        if let (Some(alone), Some((best, log))) = (&self.residual_alone, best) {
+            // What a residual explains beyond a named cause is evidence against it only if it is material: no effect has
+            // exactly the form that the library gives it.
+            let beyond = self.judge.beyond_form(alone, best);
+            if beyond < 1.0 && self.judge.cost(best) < self.judge.cost(null) {
+                log_unknown = log_unknown.min(log + beyond.max(1e-6).ln());
+            }
+        }
+        let logs = || self.answers.iter().flat_map(|answer| &answer.logs).chain([&log_unknown]);
+        let largest = logs().copied().fold(self.log_no_gap, f64::max);
+        let of_a_gap: f64 = logs().map(|log| (log - largest).exp()).sum();
+        let total = of_a_gap + (self.log_no_gap - largest).exp();
+        let probability = |log: f64| (log - largest).exp() / total;
+        (self.no_gap, self.unexplained) = (probability(self.log_no_gap), probability(log_unknown));
+        for answer in &mut self.answers {
+            answer.probability = answer.logs.iter().map(|log| probability(*log)).sum();
+            for ((_, of_member, _), log) in answer.members.iter_mut().zip(&answer.logs) {
+                *of_member = probability(*log);
+            }
+        }
+        self.answers.sort_by(|a, b| b.probability.total_cmp(&a.probability));
+        largest + of_a_gap.ln()
+    }
+
+    /// Whether the leading answer is more likely than that none of them is right.
+    #[must_use]
+    pub fn names(&self) -> bool {
+        self.answers.first().is_some_and(|answer| answer.probability > self.unexplained)
     }
 
     /// The best residual: on top of the leading answer, or alone.
@@ -163,23 +217,8 @@ pub fn weigh(
     if let (Some(first), Some(together)) = (logs.first_mut(), &together) {
         *first = first.max(log_weight(together, each * weight(&fits[0]) * PRIOR_UNKNOWN));
     }
-    let log_null = PRIOR_NO_GAP.ln();
-    let mut log_unknown = alone.as_ref().map_or(f64::NEG_INFINITY, |fit| log_weight(fit, PRIOR_UNKNOWN));
-    if let (Some(alone), Some(best), Some(log)) = (&alone, fits.first(), logs.first()) {
-        // What a residual explains beyond a named cause is evidence against it only if it is material: no effect has
-        // exactly the form that the library gives it.
-        let beyond = judge.beyond_form(alone, best);
-        if beyond < 1.0 && judge.cost(best) < judge.cost(null) {
-            log_unknown = log_unknown.min(log + beyond.max(1e-6).ln());
-        }
-    }
     // A residual that the evidence does not ask for would only fit noise.
     let together = together.filter(|t| fits.first().is_some_and(|best| judge.cost(t) < judge.cost(best)));
-    let largest = logs.iter().copied().fold(log_null.max(log_unknown), f64::max);
-    let total: f64 = logs.iter().chain([&log_null, &log_unknown]).map(|l| (l - largest).exp()).sum();
-    let probability = |log: f64| (log - largest).exp() / total;
-    let of_a_gap: f64 = logs.iter().chain([&log_unknown]).map(|l| (l - largest).exp()).sum();
-
     let signatures: Vec<DVector<f64>> =
         fits.par_iter().map(|f| nuisance.project(&signature::of_fit(setup, null, f))).collect();
     let gap = null.shooting_error;
@@ -209,26 +248,31 @@ pub fn weigh(
         lead_with_the_simplest(&mut class, &fits, &judge, &|fit| beyond_its_range(setup, fit));
         let members = class.iter().filter_map(|&k| {
             let at = fits[k].hypothesis.effects.first()?;
-            Some((at.clone(), probability(logs[k]), share(&fits[k])))
+            Some((at.clone(), 0.0, share(&fits[k])))
         });
         answers.push(Answer {
             fit: fits[class[0]].clone(),
             alike: class[1..].iter().map(|&k| fits[k].clone()).collect(),
             class: class.iter().map(|&k| fits[k].hypothesis.label()).collect(),
             members: members.collect(),
-            probability: class.iter().map(|&k| probability(logs[k])).sum(),
+            probability: 0.0,
+            logs: class.iter().map(|&k| logs[k]).collect(),
         });
     }
-    answers.sort_by(|a, b| b.probability.total_cmp(&a.probability));
-    Posterior {
+    let mut posterior = Posterior {
         answers,
-        no_gap: probability(log_null),
-        unexplained: probability(log_unknown),
-        log_evidence: largest + of_a_gap.ln() - (1.0 - PRIOR_NO_GAP).ln(),
+        no_gap: 0.0,
+        unexplained: 0.0,
+        log_evidence: 0.0,
+        log_no_gap: PRIOR_NO_GAP.ln(),
+        log_alone: alone.as_ref().map_or(f64::NEG_INFINITY, |fit| log_weight(fit, PRIOR_UNKNOWN)),
         residual_alone: alone,
         residual_on_leader: together,
         judge,
-    }
+    };
+    let of_a_gap = posterior.settle(fits.first().zip(logs.first().copied()), null);
+    posterior.log_evidence = of_a_gap - (1.0 - PRIOR_NO_GAP).ln();
+    posterior
 }
 
 /// The share of the `named` answers' probability that goes to none of them where the `first`, whose probability stays
