@@ -122,6 +122,40 @@ fn a_late_torque_reading_is_told_from_a_late_command() {
     }
 }
 
+/// A motor with a controller of its own does not give the torque that it is sent. Driven by the measured one, the pendulum
+/// loses force against its motion; a spring in its drive, which the innovations prefer, predicts held-out time worse than
+/// no effect does.
+#[test]
+fn a_pendulum_driven_by_its_measured_torque_rubs() {
+    let Some(data) = data("torque-pendulum") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let edited = |from: &str, change: &dyn Fn(&str) -> String| {
+        let text = change(&fs::read_to_string(data.join(from)).unwrap());
+        fs::write(folder.path().join(Path::new(from).file_name().unwrap()), text).unwrap();
+    };
+    edited("ddp/log.csv", &|text| text.to_owned());
+    edited("ddp/recording.toml", &|text| {
+        let signals = text.split("[[signal]]").filter(|signal| !signal.contains("\"torque_command\""));
+        let driven = |signal: &str| match signal.contains("name = \"torque\"") {
+            true => signal.replace("\"measurement\"", "\"command\""),
+            false => signal.to_owned(),
+        };
+        signals.map(driven).collect::<Vec<_>>().join("[[signal]]")
+    });
+    edited("system.toml", &|text| {
+        let text = text.replace("\"torque_command\"", "\"torque\"");
+        text.lines().filter(|line| !line.starts_with("torque ")).collect::<Vec<_>>().join("\n")
+    });
+    let report = diagnosed(folder.path(), None, &["."], &[]);
+    let first = leading(&report)[0].clone();
+    assert!(
+        ["coulomb@joint:shoulder", "asymmetric_friction@joint:shoulder"].contains(&first.as_str()),
+        "{}",
+        report["summary"]
+    );
+    assert!(closed_by_effect(&report) > 0.8, "{}", report["how_far"]);
+}
+
 #[test]
 fn the_friction_of_a_real_gearbox_grows_with_its_load() {
     let Some(data) = data("servo-xl330") else { return };
