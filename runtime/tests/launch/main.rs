@@ -49,6 +49,9 @@ fn main() -> ExitCode {
     if first.as_deref() == Some(strangers::STRANGER_COMMAND) {
         return strangers::stranger(arguments);
     }
+    if first.as_deref() == Some(programs::OTHER_COMMAND) {
+        return programs::other(arguments);
+    }
     if first.as_deref() == Some(wall::COMMAND) {
         return wall::jumping(arguments);
     }
