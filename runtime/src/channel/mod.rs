@@ -32,6 +32,7 @@
 //! ```
 
 pub(crate) mod futex;
+mod populate;
 mod port;
 mod space;
 mod wake;

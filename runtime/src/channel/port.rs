@@ -308,6 +308,15 @@ impl Publisher {
 }
 
 impl Subscriber {
+    /// Connects to the publishers that exist by now. Otherwise the first look for a message does that.
+    ///
+    /// # Errors
+    ///
+    /// [`ChannelError::Transport`].
+    pub fn connect(&self) -> Result<(), ChannelError> {
+        self.port.update_connections().map_err(|e| failed(&self.topic.name, "connect to publishers")(&e))
+    }
+
     /// Hands the next waiting message to `take`, if there is one; says whether there was. One that says of itself that it is
     /// longer than the channel allows is handed over without a word.
     ///

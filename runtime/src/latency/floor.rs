@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use super::link::{self, End, Link, Threads};
 use super::peer::{FINISH, Peer, answer};
-use super::{Carrier, Case, LatencyError, Options, Pace, Row, place, warm_up};
+use super::{Carrier, Case, LatencyError, Options, Pace, Row, place, room, warm_up};
 use crate::channel::Space;
 use crate::clock::monotonic;
 use crate::time::Nanos;
@@ -107,7 +107,7 @@ fn drive(
 ) -> Result<Turn, LatencyError> {
     warnings.extend(place::settle(core, case.fifo));
     let rate = case.rate(options.rate);
-    let mut round_trip = Vec::with_capacity((time.as_secs_f64() * rate) as usize + 16);
+    let mut round_trip = room((time.as_secs_f64() * rate) as usize + 16);
     let mut pace = Pace::new(rate, case.wait, time);
     while pace.wait() {
         let sent = monotonic();

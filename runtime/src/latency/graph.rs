@@ -7,7 +7,7 @@ use std::time::Duration;
 use serde::Deserialize;
 use serde_json::json;
 
-use super::{Carrier, Delays, LatencyError, Options, Row, Wait, warm_up};
+use super::{Carrier, Delays, LARGE, LatencyError, Options, Row, Wait, room, warm_up};
 use crate::clock::monotonic;
 use crate::data::DataSpace;
 use crate::graph::{ConnectionSpec, GraphSpec, NodeSpec};
@@ -28,9 +28,6 @@ pub fn node_main(mut arguments: impl Iterator<Item = String>) -> ExitCode {
     };
     launch::node_main(arguments, &registry(leaves, data))
 }
-
-/// Bytes of a message from which on they are data, and not numbers.
-const LARGE: usize = 4096;
 
 /// The kinds of node that are measured, for messages of so many numbers and so many bytes of data.
 fn registry(leaves: usize, data: usize) -> Registry {
@@ -91,7 +88,7 @@ struct Measuring {
 impl Measuring {
     fn new(context: &NodeContext, role: Role) -> Result<Self, NodeError> {
         let Parameters { samples, expected, warm_up } = context.parameters()?;
-        let noted = Vec::with_capacity(expected + 1024);
+        let noted = room(expected + 1024);
         Ok(Self { role, path: samples, noted, warm_up, last: None, left: 0 })
     }
 

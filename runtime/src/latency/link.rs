@@ -8,7 +8,7 @@ use std::time::Duration;
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, TryRecvError};
 use iceoryx2::prelude::*;
 
-use super::{Carrier, Case, LatencyError, Wait};
+use super::{Carrier, Case, LARGE, LatencyError, Wait};
 use crate::channel::futex::{self, SharedPage};
 use crate::channel::{Endpoint, Listener, Publisher, Space, Subscriber, Topic, Waker};
 use crate::clock::monotonic;
@@ -84,6 +84,22 @@ fn words(case: &Case) -> usize {
     (case.payload / 8).max(1)
 }
 
+/// Fills a message that lies in place, as the runtime does with its numbers; of a large one, which is data, only the first word.
+fn fill(message: &mut [u64], stamp: Nanos) {
+    let filled = if message.len() * 8 < LARGE { message.len() } else { 1 };
+    message[..filled].fill(stamp as u64);
+}
+
+/// Takes a message out of its place, in the same way; gives its stamp.
+fn take_out(message: &[u64], taken: &mut [u64]) -> Option<Nanos> {
+    if message.len() == taken.len() && message.len() * 8 < LARGE {
+        taken.copy_from_slice(message);
+        // Not left out as a copy at which nobody looks.
+        std::hint::black_box(&*taken);
+    }
+    message.first().map(|stamp| *stamp as Nanos)
+}
+
 struct Socket {
     stream: UnixStream,
     buffer: Vec<u8>,
@@ -150,7 +166,7 @@ struct Iceoryx2 {
     subscriber: iceoryx2::port::subscriber::Subscriber<Ipc, [u64], ()>,
     notifier: Option<iceoryx2::port::notifier::Notifier<Ipc>>,
     listener: Option<iceoryx2::port::listener::Listener<Ipc>>,
-    words: usize,
+    taken: Box<[u64]>,
     _node: iceoryx2::node::Node<Ipc>,
 }
 
@@ -186,17 +202,24 @@ impl Iceoryx2 {
             let created = event(&format!("{out} event"))?.notifier_builder().create();
             notifier = Some(created.map_err(|e| fail("notify")(&e))?);
         }
-        Ok(Self { publisher, subscriber, notifier, listener, words: words(case), _node: node })
+        Ok(Self {
+            publisher,
+            subscriber,
+            notifier,
+            listener,
+            taken: vec![0; words(case)].into(),
+            _node: node,
+        })
     }
 }
 
 impl Link for Iceoryx2 {
     fn send(&mut self, stamp: Nanos) -> Result<(), LatencyError> {
         let fail = LatencyError::iceoryx2("send");
-        let sample = self.publisher.loan_slice_uninit(self.words).map_err(|e| fail(&e))?;
+        let sample = self.publisher.loan_slice_uninit(self.taken.len()).map_err(|e| fail(&e))?;
         // SAFETY: the words lie in a mapped file, whose bytes are always initialised; any bits are a valid u64.
         let mut sample = unsafe { sample.assume_init() };
-        sample.payload_mut()[0] = stamp as u64;
+        fill(sample.payload_mut(), stamp);
         sample.send().map_err(|e| fail(&e))?;
         if let Some(notifier) = &self.notifier {
             notifier.notify().map_err(|e| fail(&e))?;
@@ -206,7 +229,7 @@ impl Link for Iceoryx2 {
 
     fn poll(&mut self) -> Result<Option<Nanos>, LatencyError> {
         let sample = self.subscriber.receive().map_err(|e| LatencyError::iceoryx2("receive")(&e))?;
-        Ok(sample.map(|sample| sample.payload()[0] as Nanos))
+        Ok(sample.and_then(|sample| take_out(sample.payload(), &mut self.taken)))
     }
 
     fn sleep(&mut self, patience: Duration) -> Result<Option<Nanos>, LatencyError> {
@@ -222,7 +245,7 @@ struct Channel {
     subscriber: Subscriber,
     listener: Option<Listener>,
     waker: Option<Waker>,
-    words: usize,
+    taken: Box<[u64]>,
 }
 
 impl Channel {
@@ -238,6 +261,7 @@ impl Channel {
         };
         let (out, back) = (topic("to"), topic("fro"));
         let blocks = case.wait != Wait::Spin;
+        let taken = vec![0; words(case)].into();
         if end == End::First {
             let listener = endpoint.listener("first")?;
             // The second end looks for this one: both are there before it starts.
@@ -245,20 +269,20 @@ impl Channel {
             let publisher = endpoint.create(&out)?.publisher()?;
             let subscriber = endpoint.create(&back)?.subscriber()?;
             let waker = blocks.then(|| endpoint.waker("second")).transpose()?;
-            return Ok(Self { publisher, subscriber, listener: Some(listener), waker, words: words(case) });
+            return Ok(Self { publisher, subscriber, listener: Some(listener), waker, taken });
         }
         let listener = Some(endpoint.listener("second")?);
         let subscriber = endpoint.open(&out)?.subscriber()?;
         let publisher = endpoint.open(&back)?.publisher()?;
         let waker = blocks.then(|| endpoint.waker("first")).transpose()?;
-        Ok(Self { publisher, subscriber, listener, waker, words: words(case) })
+        Ok(Self { publisher, subscriber, listener, waker, taken })
     }
 }
 
 impl Link for Channel {
     fn send(&mut self, stamp: Nanos) -> Result<(), LatencyError> {
-        let mut loan = self.publisher.loan(self.words)?;
-        loan[0] = stamp as u64;
+        let mut loan = self.publisher.loan(self.taken.len())?;
+        fill(&mut loan, stamp);
         loan.send()?;
         if let Some(waker) = &self.waker {
             waker.wake();
@@ -267,7 +291,7 @@ impl Link for Channel {
     }
 
     fn poll(&mut self) -> Result<Option<Nanos>, LatencyError> {
-        Ok(self.subscriber.take()?.map(|view| view[0] as Nanos))
+        Ok(self.subscriber.take()?.and_then(|view| take_out(&view, &mut self.taken)))
     }
 
     fn sleep(&mut self, patience: Duration) -> Result<Option<Nanos>, LatencyError> {

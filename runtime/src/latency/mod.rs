@@ -136,6 +136,16 @@ impl Case {
     }
 }
 
+/// Bytes of a message from which on they are data, and not numbers.
+const LARGE: usize = 4096;
+
+/// Room for so many numbers, of which the pages are there: to touch one for the first time takes longer than a message.
+fn room(numbers: usize) -> Vec<Nanos> {
+    let mut room = vec![1; numbers];
+    room.clear();
+    room
+}
+
 /// How many of so many messages are not counted, from the first on: they fault pages in and warm caches.
 fn warm_up(expected: usize) -> usize {
     (expected / 10).min(50)

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::process::{Child, Command, ExitCode, Stdio};
 
 use super::link::{self, End, Link, PATIENCE};
-use super::{Case, LatencyError, Wait, place};
+use super::{Case, LatencyError, Wait, place, room};
 use crate::channel::Space;
 use crate::clock::monotonic;
 use crate::time::Nanos;
@@ -21,7 +21,7 @@ pub(super) const FINISH: Nanos = Nanos::MIN;
 
 /// Answers until the finish; gives how long each message was under way.
 pub(super) fn answer(link: &mut dyn Link, wait: Wait) -> Result<Vec<Nanos>, LatencyError> {
-    let mut taken = Vec::with_capacity(1 << 20);
+    let mut taken = room(1 << 20);
     while let Some(stamp) = link::receive(link, wait)? {
         let now = monotonic();
         if stamp == FINISH {

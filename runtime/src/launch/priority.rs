@@ -1,4 +1,5 @@
-//! A place before ordinary programs for those who pass on orders and notice deaths.
+//! Who goes before whom: a place before ordinary programs for those who pass on orders and notice deaths, and an order among the
+//! ordinary processes of a run.
 
 /// Real-time priority of a thread while this lives: the lowest there is, which still goes before every ordinary program. A
 /// graph in real time is stopped, and given safe outputs, by threads that must not wait for a compiler.
@@ -28,11 +29,69 @@ impl Raised {
     }
 }
 
+/// The shortest slice of processor time that the system knows.
+const SLICE: u64 = 100_000;
+/// How much nicer than its nodes the recorder is. A busy machine still gives it a fourth of a core, of which it takes hundredths.
+const NICE: i32 = 5;
+
+/// A node that is no real-time program wakes for moments. With a short slice (Linux 6.12) it goes at once before whoever has used
+/// its core for longer, instead of waiting until that one's slice is over. What the system refuses makes it no worse.
+pub(super) fn wake_at_once() {
+    change(libc::SCHED_OTHER, 0, SLICE);
+}
+
+/// The recorder has seconds of room: it takes what nodes leave, and none of them waits for it.
+pub(super) fn give_way() {
+    change(libc::SCHED_BATCH, NICE, 0);
+}
+
+/// Changes how this thread is scheduled, if it is an ordinary one. Whoever started the program under a real-time policy wants that.
+fn change(policy: libc::c_int, nicer: i32, slice: u64) {
+    // SAFETY: `attributes` is plain integers, for which zeros are valid, of the size that it says; it outlives the calls, which
+    // change nothing but it and this thread's own setting. 0 is the calling thread.
+    unsafe {
+        if libc::sched_getscheduler(0) != libc::SCHED_OTHER {
+            return;
+        }
+        let mut attributes: libc::sched_attr = std::mem::zeroed();
+        attributes.size = size_of::<libc::sched_attr>() as u32;
+        attributes.sched_policy = policy as u32;
+        attributes.sched_nice = (libc::getpriority(libc::PRIO_PROCESS, 0) + nicer).min(19);
+        attributes.sched_runtime = slice;
+        libc::syscall(libc::SYS_sched_setattr, 0, &raw const attributes, 0);
+    }
+}
+
 impl Drop for Raised {
     fn drop(&mut self) {
         if let Some((policy, parameters)) = self.before {
             // SAFETY: as in `current`. A thread may always give up a priority.
             unsafe { libc::sched_setscheduler(0, policy, &parameters) };
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_recorder_gives_way_and_a_node_stays_as_nice_as_it_was() {
+        let told = |act: fn()| {
+            let thread = std::thread::spawn(move || {
+                act();
+                // SAFETY: the calls take integers only.
+                unsafe { (libc::sched_getscheduler(0), libc::getpriority(libc::PRIO_PROCESS, 0)) }
+            });
+            thread.join().unwrap()
+        };
+        let (policy, nice) = told(|| ());
+        if policy != libc::SCHED_OTHER {
+            // Somebody runs these tests in real time, and that stays so.
+            assert_eq!((told(give_way), told(wake_at_once)), ((policy, nice), (policy, nice)));
+            return;
+        }
+        assert_eq!(told(give_way), (libc::SCHED_BATCH, (nice + NICE).min(19)));
+        assert_eq!(told(wake_at_once), (libc::SCHED_OTHER, nice));
     }
 }

@@ -17,7 +17,7 @@ use super::error::RunError;
 use super::link;
 use super::orders::Orders;
 use super::plan::{self, RUN_FILE, RunFile, Settings};
-use super::priority::Raised;
+use super::priority::{Raised, wake_at_once};
 use super::record;
 use super::report::Exit;
 use super::settings::{NodeSettings, Policy};
@@ -213,7 +213,10 @@ fn pin(node: &str, settings: &NodeSettings) -> Option<String> {
 fn schedule(node: &str, settings: &NodeSettings) -> Vec<String> {
     let mut refused = Vec::new();
     let policy = match settings.policy {
-        Policy::Other => None,
+        Policy::Other => {
+            wake_at_once();
+            None
+        }
         Policy::Fifo => Some((libc::SCHED_FIFO, "SCHED_FIFO")),
         Policy::Rr => Some((libc::SCHED_RR, "SCHED_RR")),
     };
@@ -340,6 +343,7 @@ fn work(
             Some(Some(Order::Connect)) => {
                 let (receivers, recorders) =
                     stepper.connect(graph, index, settings, &endpoint).map_err(|e| e.to_string())?;
+                space.populate().map_err(|e| format!("cannot see what is mapped: {e}"))?;
                 answers.send(&Answer::Connected { receivers, recorders });
             }
             Some(Some(Order::Start { epoch, resume })) => {

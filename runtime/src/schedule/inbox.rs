@@ -43,7 +43,8 @@ impl Inbox {
         let rings = plans().enumerate().map(|(input, plan)| Ring {
             leaves: plan.leaves,
             data: plan.data > 0,
-            values: vec![0.0; plan.leaves * gate.capacity(input)].into_boxed_slice(),
+            // Written to, and not only asked for: zeros would come page by page, each with a fault, in the middle of a step.
+            values: vec![f64::NAN; plan.leaves * gate.capacity(input)].into_boxed_slice(),
             initial: graph.nodes()[plan.from].kind.initial_message().into(),
             newest: graph.nodes()[plan.from].kind.initial_message().into(),
             safe: graph.nodes()[plan.from].safe.clone(),

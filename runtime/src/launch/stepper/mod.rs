@@ -150,7 +150,7 @@ impl Stepper {
         })
     }
 
-    /// Connects the sending ends, now that every receiver exists; gives the number of receivers and recorders.
+    /// Connects all ends, now that every other one exists; gives the number of receivers and recorders.
     pub(super) fn connect(
         &mut self,
         graph: &Graph,
@@ -166,6 +166,7 @@ impl Stepper {
         if settings.placement.as_ref().is_some_and(|placement| placement.crosses(graph, index)) {
             self.wakers.push(endpoint.waker(link::WAKE)?);
         }
+        self.inputs.iter().try_for_each(|input| input.subscriber.connect())?;
         let recorders = self.records.as_ref().map_or(Ok(0), |records| records.publisher.connect())?;
         Ok((self.output.connect()?, recorders))
     }
