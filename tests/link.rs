@@ -1,5 +1,5 @@
-//! A graph on two machines: two network namespaces with a cable between them, the second one with a monotonic clock that is
-//! 5000 s ahead (`unshare --time`), and the faults that a cable, a machine and a stranger can bring.
+//! A graph on several machines: network namespaces with cables between them, all but the first with a monotonic clock that is
+//! thousands of seconds ahead (`unshare --time`), and the faults that a cable, a machine and a stranger can bring.
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -13,18 +13,26 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 use command::fail;
+use parallax::runtime::graph::{ConnectionSpec, NodeSpec};
 use parallax::runtime::launch::{Exit, RunReport};
-use parallax::runtime::recording::Recording;
+use parallax::runtime::recording::{Fault, FaultKind, Recording};
 use parallax::runtime::time::to_seconds;
 
 /// What the clock of the second machine shows more, s.
 const AHEAD: i64 = 5000;
 
-/// Two machines with a cable between them.
+/// The machines, in the order of their addresses. The first one's clock is that of these tests.
+const MACHINES: [&str; 3] = ["desk", "plant", "arm"];
+
+/// Machines with a cable between each two of them.
 struct Cable {
-    names: [String; 2],
-    ends: [String; 2],
+    names: Vec<String>,
     folder: tempfile::TempDir,
+}
+
+/// The address of a machine.
+fn address(machine: usize) -> String {
+    format!("10.231.7.{}", machine + 1)
 }
 
 fn ip(arguments: &[&str]) {
@@ -42,23 +50,31 @@ fn ip(arguments: &[&str]) {
 }
 
 impl Cable {
+    /// Between two machines.
     fn lay() -> Self {
+        Self::between(2)
+    }
+
+    fn between(machines: usize) -> Self {
         static NEXT: AtomicU32 = AtomicU32::new(0);
         let number = NEXT.fetch_add(1, Ordering::Relaxed);
-        let name = |end: char| format!("plx{}{end}{number}", std::process::id());
-        let (names, ends) = ([name('a'), name('b')], [name('v'), name('w')]);
-        let cable = Self { names, ends, folder: tempfile::tempdir().unwrap() };
-        let ([a, b], [v, w]) = (&cable.names, &cable.ends);
-        ip(&["netns", "add", a]);
-        ip(&["netns", "add", b]);
-        ip(&["link", "add", v, "netns", a, "type", "veth", "peer", "name", w, "netns", b]);
-        for (name, end, address) in [(a, v, "10.231.7.1/24"), (b, w, "10.231.7.2/24")] {
+        let name = |machine: usize| format!("plx{}-{number}-{machine}", std::process::id());
+        let cable = Self { names: (0..machines).map(name).collect(), folder: tempfile::tempdir().unwrap() };
+        for name in &cable.names {
+            ip(&["netns", "add", name]);
             ip(&["-n", name, "link", "set", "lo", "up"]);
-            ip(&["-n", name, "addr", "add", address, "dev", end]);
-            ip(&["-n", name, "link", "set", end, "up"]);
+        }
+        for (a, b) in (0..machines).flat_map(|b| (0..b).map(move |a| (a, b))) {
+            let (here, there) = (&cable.names[a], &cable.names[b]);
+            let (to_b, to_a) = (format!("to{b}"), format!("to{a}"));
+            ip(&["link", "add", &to_b, "netns", here, "type", "veth", "peer", "name", &to_a, "netns", there]);
+            for (name, end, own, other) in [(here, &to_b, a, b), (there, &to_a, b, a)] {
+                ip(&["-n", name, "addr", "add", &address(own), "peer", &address(other), "dev", end]);
+                ip(&["-n", name, "link", "set", end, "up"]);
+            }
         }
         fs::write(cable.path("graph.toml"), graph()).unwrap();
-        for machine in ["desk", "plant"] {
+        for machine in &MACHINES[..machines] {
             fs::create_dir(cable.path(machine)).unwrap();
             cable.secret(machine, "a word that nobody guesses");
             cable.settings(machine, "");
@@ -82,12 +98,18 @@ impl Cable {
 
     /// Starts the run on a machine.
     fn start(&self, machine: &str, more: &[&str]) -> Run {
-        let place = usize::from(machine == "plant");
+        let place = MACHINES.iter().position(|name| *name == machine).unwrap();
+        self.start_with_clock(machine, place as i64 * AHEAD, more)
+    }
+
+    /// The same, with a clock that is so far ahead.
+    fn start_with_clock(&self, machine: &str, ahead: i64, more: &[&str]) -> Run {
+        let place = MACHINES.iter().position(|name| *name == machine).unwrap();
         let mut command = Command::new("ip");
         command.args(["netns", "exec", &self.names[place]]);
-        if machine == "plant" {
+        if ahead != 0 {
             command.args(["unshare", "--time", "--fork", "--kill-child"]);
-            command.args([format!("--monotonic={AHEAD}"), format!("--boottime={AHEAD}")]);
+            command.args([format!("--monotonic={ahead}"), format!("--boottime={ahead}")]);
         }
         command.arg(env!("CARGO_BIN_EXE_parallax")).args(["run", self.path("graph.toml").to_str().unwrap()]);
         command.arg("--launch").arg(self.path(machine).join("launch.toml"));
@@ -99,7 +121,7 @@ impl Cable {
     }
 
     fn set_link(&self, state: &str) {
-        ip(&["-n", &self.names[0], "link", "set", &self.ends[0], state]);
+        ip(&["-n", &self.names[0], "link", "set", "to1", state]);
     }
 }
 
@@ -336,6 +358,138 @@ fn a_link_that_is_killed_ends_the_run_on_both_machines() {
     assert_eq!((code, plant_code), (Some(3), Some(3)), "{errors}\n{plant_errors}");
     assert!(errors.contains("the link to the other machines ended: process"), "{errors}");
     assert!(plant_errors.contains("machine desk: it has been silent"), "{plant_errors}");
+}
+
+/// A machine loses its power: nothing of it is left, and its clock begins anew.
+fn cut(run: &mut Run) {
+    let process = run.0.as_mut().unwrap();
+    process.kill().unwrap();
+    process.wait().unwrap();
+    // Its nodes end by themselves: they have lost their launcher.
+    std::thread::sleep(Duration::from_secs(2));
+}
+
+fn restarted(recording: &Recording, node: &str) -> bool {
+    let of = |fault: &&Fault| fault.node == node && matches!(fault.kind, FaultKind::Restarted { .. });
+    recording.faults.iter().find(of).is_some()
+}
+
+#[test]
+fn a_machine_that_is_started_again_takes_part_again() {
+    let cable = Cable::lay();
+    for machine in ["desk", "plant"] {
+        cable.settings(machine, "gone = 1.0\n        on_gone = \"continue\"");
+    }
+    let mut first = cable.start("plant", &["--duration", "14"]);
+    let desk = cable.start("desk", &["--duration", "14"]);
+    until_recorded(&cable.path("run.mcap"));
+    cut(&mut first);
+    let plant = cable.start_with_clock("plant", AHEAD + 777, &["--duration", "14"]);
+    let ((desk, code, errors), (plant, plant_code, plant_errors)) = (desk.report(), plant.report());
+    assert_eq!((code, plant_code), (Some(0), Some(0)), "{errors}\n{plant_errors}");
+    for said in ["machine plant has been silent", "machine plant is gone", "machine plant was started again"]
+    {
+        assert!(errors.contains(said), "{said}: {errors}");
+    }
+    assert_eq!(desk.link.as_ref().unwrap().rejoined, 1);
+    adds_up(&desk, &["estimator", "agent"]);
+    adds_up(&plant, &["world", "camera", "motor"]);
+
+    let path = cable.path("run.mcap");
+    let recording = Recording::read(&path).unwrap();
+    for name in ["world", "camera", "motor"] {
+        assert!(restarted(&recording, name), "{name}: {:?}", recording.faults);
+        let steps = &recording.node(name).unwrap().steps;
+        // One clock and one count before and after: no number is used twice, and the grid is kept.
+        assert!(steps.windows(2).all(|pair| pair[0].seq < pair[1].seq && pair[0].start < pair[1].start));
+        let (gap, before) =
+            steps.windows(2).map(|pair| (pair[1].due - pair[0].due, pair[0].due)).max().unwrap();
+        assert!(gap > 2_000_000_000, "{name}: {gap}");
+        let after = steps.iter().filter(|step| step.due > before);
+        assert!(after.clone().count() > 50, "{name}");
+        let mut late: Vec<_> = after.map(|step| step.start - step.due).collect();
+        late.sort_unstable();
+        assert!(late[late.len() / 2] < 100_000_000, "{name}: {late:?}");
+    }
+    // What the plant had recorded and not yet sent when it lost its power is missing: of the steps about that moment the schedule cannot
+    // be told whole, and what they gave can.
+    let replay =
+        Command::new(env!("CARGO_BIN_EXE_parallax")).arg("replay").arg(&path).arg("--json").output().unwrap();
+    let replay: serde_json::Value = serde_json::from_slice(&replay.stdout).unwrap();
+    for node in replay["nodes"].as_array().unwrap() {
+        assert_eq!(node["differing"], 0, "{node}");
+    }
+}
+
+#[test]
+fn the_machine_that_records_goes_on_in_another_file() {
+    let cable = Cable::lay();
+    for machine in ["desk", "plant"] {
+        cable.settings(machine, "gone = 1.0\n        on_gone = \"continue\"");
+    }
+    let plant = cable.start("plant", &["--duration", "14"]);
+    let mut first = cable.start("desk", &["--duration", "14"]);
+    until_recorded(&cable.path("run.mcap"));
+    cut(&mut first);
+    let desk = cable.start("desk", &["--duration", "14"]);
+    let ((desk, code, errors), (plant, plant_code, plant_errors)) = (desk.report(), plant.report());
+    assert_eq!((code, plant_code), (Some(0), Some(0)), "{errors}\n{plant_errors}");
+    adds_up(&desk, &["estimator", "agent"]);
+    adds_up(&plant, &["world", "camera", "motor"]);
+    let parts = ["run.mcap", "run.1.mcap"].map(|name| Recording::read(cable.path(name)).unwrap());
+    let [before, after] = parts.each_ref().map(|part| &part.node("agent").unwrap().steps);
+    assert!(before.len() > 10 && after.len() > 10, "{} {}", before.len(), after.len());
+    assert!(after[0].seq > before[before.len() - 1].seq && after[0].start > before[before.len() - 1].start);
+    assert!(restarted(&parts[1], "agent") && !restarted(&parts[1], "motor"), "{:?}", parts[1].faults);
+}
+
+#[test]
+fn pictures_cross_between_three_machines() {
+    let cable = Cable::between(3);
+    let mut spec = parallax::nodes::graph("pendulum").unwrap();
+    spec.name = "pendulum-seen".into();
+    spec.node_mut("camera").unwrap().kind = "pendulum/detector".into();
+    spec.nodes.push(NodeSpec::new("film", "pendulum/film", 50.0));
+    spec.connections[0].to = "film".into();
+    spec.connections.push(ConnectionSpec { blocking: true, ..ConnectionSpec::new("film", "camera") });
+    spec.plant = None;
+    fs::write(cable.path("graph.toml"), spec.to_toml().unwrap()).unwrap();
+    let settings =
+        settings("").replace("[host.plant]", "[host.plant]\n[host.arm]\naddress = \"10.231.7.3:7447\"");
+    let motor = "[node.motor]\n        host = \"plant\"";
+    assert!(settings.contains(motor));
+    let camera = "[node.camera]\n        host = \"plant\"";
+    let settings = settings
+        .replace(motor, "[node.motor]\nhost = \"arm\"")
+        .replace(camera, "[node.camera]\nhost = \"desk\"\n[node.film]\nhost = \"plant\"");
+    for machine in MACHINES {
+        fs::write(cable.path(machine).join("launch.toml"), &settings).unwrap();
+    }
+    let runs = MACHINES.map(|machine| cable.start(machine, &["--duration", "4"]));
+    let reports = runs.map(Run::report);
+    for (report, code, errors) in &reports {
+        assert_eq!(*code, Some(0), "{errors}");
+        assert!(report.nodes.iter().all(|node| node.steps > 50 && node.exit == Exit::Clean), "{report:#?}");
+        // Every machine knows the clocks of both others.
+        assert_eq!(report.link.as_ref().unwrap().clocks.len(), 2, "{:?}", report.link);
+    }
+    let [(desk, ..), (plant, ..), (arm, ..)] = &reports;
+    adds_up(desk, &["camera", "estimator", "agent"]);
+    adds_up(plant, &["world", "film"]);
+    adds_up(arm, &["motor"]);
+
+    let path = cable.path("run.mcap");
+    let recording = Recording::read(&path).unwrap();
+    assert_eq!(["film", "motor", "agent"].map(|node| &*recording.hosts[node]), ["plant", "arm", "desk"]);
+    let film = recording.node("film").unwrap();
+    assert!(
+        film.messages.len() > 100 && film.messages.iter().all(|message| message.data.len() == 120 * 90 * 3)
+    );
+    // Those that the detector saw on the desk are those that the film took on the plant: seen again, they give the same.
+    let seen = recording.node("camera").unwrap();
+    assert!(seen.steps.len() > 100 && seen.messages.iter().any(|message| message.payload[0] != 0.0));
+    let replay = command::json(cable.folder.path(), &["replay", path.to_str().unwrap(), "--json"]);
+    assert_eq!(replay["exact"], true, "{replay}");
 }
 
 #[test]

@@ -325,6 +325,12 @@ fn print_link(link: &LinkReport) {
     if link.silences > 0 {
         output::line(format!("other machines were silent for too long {} times", link.silences));
     }
+    if link.rejoined > 0 {
+        output::line(format!(
+            "other machines were started again and took part again {} times",
+            link.rejoined
+        ));
+    }
     link.problem.iter().for_each(|problem| output::line(format!("the link: {problem}")));
 }
 

@@ -72,6 +72,16 @@ fn input_report(graph: &Graph, members: &[Member], node: usize, input: usize) ->
     let accounted =
         of_sent.fold(consumed.saturating_add(superseded), |sum, (_, count)| sum.saturating_add(*count));
     let rest = sent.saturating_sub(accounted);
+    // A gap in the numbers of a machine that was started again may be seen before that machine has told of it: what nobody sent
+    // was not lost on the way.
+    let mut never_sent = accounted.saturating_sub(sent);
+    if let Some((_, count)) = lost.iter_mut().find(|(reason, _)| *reason == LossReason::Transport) {
+        never_sent = never_sent.min(*count);
+        *count -= never_sent;
+    } else {
+        never_sent = 0;
+    }
+    lost.retain(|(_, count)| *count > 0);
     // What is under way to a node that ended for good will not arrive.
     let gone = !matches!(members[node].exit, Some(Exit::Clean) | None);
     if gone && rest > 0 {
@@ -88,7 +98,7 @@ fn input_report(graph: &Graph, members: &[Member], node: usize, input: usize) ->
         superseded,
         in_flight: if gone { 0 } else { rest },
         lost,
-        not_sent: vitals.lost(input, LossReason::NotSent),
+        not_sent: vitals.lost(input, LossReason::NotSent).saturating_add(never_sent),
         safe: vitals.input(input, InputVital::Safe),
     }
 }

@@ -34,8 +34,8 @@ pub(super) enum Order {
     Tune { id: u64, by: By, wish: Wish },
     /// Finish the step and end.
     Stop,
-    /// To the recorder: the run has this clock, begin to write.
-    Record { clock: Clock },
+    /// To the recorder: the run has this clock, begin to write; beside the files of the same name when the run has begun before.
+    Record { clock: Clock, again: bool },
     /// To the recorder: write this down.
     Fault { fault: Fault },
     /// To the recorder: how the clocks of two machines stand to each other; write this down.

@@ -11,7 +11,7 @@ use super::control::{Answer, Order, readable};
 use super::door::{Door, Passed};
 use super::error::RunError;
 use super::event::{EventKind, Journal};
-use super::link::{Bridge, Turn};
+use super::link::{Begin, Bridge, Turn};
 use super::plan::{self, Settings};
 use super::recorder::Recorder;
 use super::report::{End, Exit, NodeReport};
@@ -174,6 +174,16 @@ impl<'a> Crew<'a> {
         Ok(said)
     }
 
+    /// Begins the run; where it has begun without this machine, its nodes take up what they did before.
+    pub(super) fn begin(&mut self, begin: Begin) {
+        self.order_all(&Order::Start { epoch: begin.epoch, resume: begin.again });
+        for (node, member) in self.members.iter_mut().enumerate().filter(|_| begin.again) {
+            if self.site.settings.is_here(node) {
+                member.state = State::Coming(Instant::now());
+            }
+        }
+    }
+
     pub(super) fn order_all(&mut self, order: &Order) {
         self.members.iter_mut().for_each(|member| member.worker.order(order));
     }
@@ -304,6 +314,11 @@ impl<'a> Crew<'a> {
                     if let Some(recorder) = &mut self.recorder {
                         recorder.clocks(readings);
                     }
+                }
+                Turn::Faults(faults) => {
+                    faults
+                        .into_iter()
+                        .for_each(|fault| self.recorder.iter().for_each(|r| r.fault(fault.clone())));
                 }
                 Turn::TimeOver => end = end.or(Some(End::Duration)),
                 Turn::End { host, why } => end = end.or(Some(End::Host { host, why })),

@@ -4,10 +4,9 @@ use std::collections::BTreeMap;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::about::{About, RunPage};
-use super::control::Order;
 use super::crew::{Crew, Site};
 use super::error::RunError;
-use super::link::{Bridge, Placement, TIME_OVER};
+use super::link::{Begin, Bridge, Placement, TIME_OVER, Turn};
 use super::plan::{self, RUN_FILE, RecordingPlan, RunFile, Settings};
 use super::priority::Raised;
 use super::recorder::Recorder;
@@ -109,8 +108,8 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
     space.commit()?;
     let _raised = Raised::current(settings.nodes.iter().any(|node| node.policy != Policy::Other));
 
-    let clock = match &mut crew.bridge {
-        None => WallClock::starting_in(LEAD),
+    let begin = match &mut crew.bridge {
+        None => Begin { epoch: WallClock::starting_in(LEAD).epoch(), again: false },
         Some(bridge) => {
             let mut tell = |text: &str| {
                 if let (Some(tell), false) = (&mut warnings.tell, text.is_empty()) {
@@ -118,14 +117,15 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
                 }
                 !signals.as_ref().is_some_and(Signals::raised)
             };
-            WallClock::with_epoch(bridge.begin(|| WallClock::starting_in(FAR_LEAD).epoch(), &mut tell)?)
+            bridge.begin(|| WallClock::starting_in(FAR_LEAD).epoch(), &mut tell)?
         }
     };
+    let clock = WallClock::with_epoch(begin.epoch);
     crew.journal.warn = warnings.tell.take();
     if let Some(recorder) = &mut crew.recorder {
-        recorder.begin(describe_clock(clock, options.seed));
+        recorder.begin(describe_clock(clock, options.seed), begin.again);
     }
-    crew.order_all(&Order::Start { epoch: clock.epoch(), resume: false });
+    crew.begin(begin);
     page.running(clock.epoch());
     let end = crew.watch(clock, &mut options, signals.as_ref());
     page.stopping(&end, &graph);
@@ -255,10 +255,10 @@ fn pass_on(crew: &mut Crew<'_>, end: &End) -> Option<LinkReport> {
         End::Link { problem } => problem.clone(),
     };
     let Crew { recorder, .. } = crew;
-    bridge.finish(why, exits, |readings| {
-        if let Some(recorder) = recorder {
-            recorder.clocks(readings);
-        }
+    bridge.finish(why, exits, |turn| match (turn, recorder.as_mut()) {
+        (Turn::Clocks(readings), Some(recorder)) => recorder.clocks(readings),
+        (Turn::Faults(faults), Some(recorder)) => faults.into_iter().for_each(|fault| recorder.fault(fault)),
+        _ => {}
     });
     for (name, exit) in bridge.exits() {
         if let Some(node) = crew.site.graph.index(name).filter(|&node| !crew.site.settings.is_here(node)) {

@@ -21,6 +21,7 @@ use super::plan::{
     self, CHANGE, CHANGE_WORDS, CONSUMED, INITIAL, INPUT_HEAD, LOSS, LOSS_WORDS, REPLACED, RESET, STEP,
     STEP_HEAD, Settings,
 };
+use super::priority::give_way;
 use crate::channel::{Endpoint, Space, Subscriber};
 use crate::data::bytes;
 use crate::graph::{Graph, NodePlan};
@@ -36,7 +37,7 @@ use crate::tuning::{Parameter, Setting};
 pub(super) const NAME: &str = "@recorder";
 
 /// Milliseconds between two visits to the channels: short against the seconds of room that they have, long against a step.
-const VISIT: i32 = 4;
+const VISIT: i32 = 10;
 /// Words taken from the channels before they are written: the recorder's memory.
 const BATCH: usize = 1 << 20;
 /// How often what was written is made sure of.
@@ -47,6 +48,8 @@ const RETRY: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs
 const SILENCE: Duration = Duration::from_millis(300);
 /// Messages that one record may call lost: more cannot have been under way.
 const MOST_LOST: u64 = 1 << 20;
+/// In place of the number of a node's next record: this machine does not know what came before.
+const UNKNOWN: u64 = u64::MAX;
 /// What is said of what comes as a record and is none.
 const NO_RECORD: &str =
     "a record has a form that no record has: somebody wrote into the shared memory of the run";
@@ -112,6 +115,7 @@ pub(super) enum End {
 /// Records until it is told to finish, or until the launcher is gone and the nodes are silent.
 pub(super) fn serve(graph: &Graph, settings: &Settings, space: &Space, stream: UnixStream) -> End {
     let mut line = Line::new(stream);
+    give_way();
     let (streams, recording) = match (open(graph, space), &settings.recorder) {
         (Ok(streams), Some(recording)) => (streams, recording),
         (Err(error), _) => return refuse(&mut line, error.to_string()),
@@ -149,7 +153,12 @@ pub(super) fn serve(graph: &Graph, settings: &Settings, space: &Space, stream: U
             Vec::new()
         }) {
             match order {
-                Order::Record { clock } => scribe.begin(clock),
+                Order::Record { clock, again } => {
+                    if again {
+                        scribe.go_on();
+                    }
+                    scribe.begin(clock);
+                }
                 Order::Fault { fault } => scribe.fault(&fault),
                 Order::Clocks { readings } => scribe.clocks(&readings),
                 Order::Finish { duration } => finish = Some(duration),
@@ -266,6 +275,21 @@ impl Scribe<'_> {
         if !self.ledger.files.is_empty() {
             self.ledger.problem.get_or_insert_with(|| "the recorder died and was started again".into());
         }
+    }
+
+    /// The run has begun before this machine was started again: its files are kept, and what nodes elsewhere recorded meanwhile
+    /// came to nobody.
+    fn go_on(&mut self) {
+        // A recorder that was started again after that has it in its ledger.
+        while self.ledger.files.len() < 1 << 16 {
+            let file = self.part(self.ledger.files.len());
+            // What the launcher has made is empty: no run has written into it.
+            if !file.is_file() || file.metadata().is_ok_and(|file| file.len() == 0) {
+                break;
+            }
+            self.ledger.files.push(file);
+        }
+        self.ledger.next.iter_mut().filter(|next| **next == 0).for_each(|next| *next = UNKNOWN);
     }
 
     fn begin(&mut self, clock: Clock) {
@@ -427,7 +451,9 @@ impl Scribe<'_> {
                             return;
                         }
                     };
-                    lost[node] = lost[node].saturating_add(number.saturating_sub(next[node]));
+                    if next[node] != UNKNOWN {
+                        lost[node] = lost[node].saturating_add(number.saturating_sub(next[node]));
+                    }
                     next[node] = number.saturating_add(1);
                     share = share.saturating_sub(words.len());
                     room = room.saturating_sub(words.len());

@@ -37,6 +37,8 @@ pub(super) struct Recorder<'a> {
     space: &'a Space,
     state: State,
     clock: Option<Clock>,
+    /// The run has begun before, and this machine takes part again.
+    again: bool,
     /// Faults that it has not been told of.
     unsaid: RefCell<Vec<Fault>>,
     deaths: u64,
@@ -110,6 +112,7 @@ impl<'a> Recorder<'a> {
             space,
             state: State::Opening(Instant::now()),
             clock: None,
+            again: false,
             unsaid: RefCell::default(),
             deaths: 0,
             last_death: None,
@@ -130,11 +133,11 @@ impl<'a> Recorder<'a> {
         Ok(recorder)
     }
 
-    /// The run's clock is known: writing can begin.
-    pub(super) fn begin(&mut self, clock: Clock) {
+    /// The run's clock is known: writing can begin, beside what was written before when the run has begun without this machine.
+    pub(super) fn begin(&mut self, clock: Clock, again: bool) {
         self.empty = None;
-        self.worker.order(&Order::Record { clock: clock.clone() });
-        self.clock = Some(clock);
+        self.worker.order(&Order::Record { clock: clock.clone(), again });
+        (self.clock, self.again) = (Some(clock), again);
     }
 
     /// Something happened to a node. The recorder is told when it is next looked after.
@@ -186,7 +189,7 @@ impl<'a> Recorder<'a> {
                     self.state = State::Listening;
                     // One that comes later than the run's start has to know what the first one was told.
                     if let Some(clock) = self.clock.clone() {
-                        self.worker.order(&Order::Record { clock });
+                        self.worker.order(&Order::Record { clock, again: self.again });
                     }
                 }
                 Answer::Recorded { ledger } => self.recorded = Some(*ledger),

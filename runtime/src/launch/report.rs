@@ -169,6 +169,9 @@ pub struct LinkReport {
     pub clocks: Vec<ClockReading>,
     /// How often another machine was silent for too long.
     pub silences: u64,
+    /// How often another machine was started again and took part again.
+    #[serde(default)]
+    pub rejoined: u64,
     /// How the nodes of other machines ended, as far as they said.
     pub exits: BTreeMap<String, Exit>,
     /// What went wrong with the link.

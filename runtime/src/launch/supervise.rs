@@ -315,7 +315,7 @@ impl Crew<'_> {
         }
     }
 
-    pub(super) fn record_end(&self, node: usize, exit: &Exit, clock: WallClock) {
+    pub(super) fn record_end(&mut self, node: usize, exit: &Exit, clock: WallClock) {
         let kind = match exit {
             Exit::Clean => return,
             Exit::Failed { reason } => FaultKind::Failed { message: reason.clone() },
@@ -325,10 +325,17 @@ impl Crew<'_> {
         self.record(node, kind, clock);
     }
 
-    fn record(&self, node: usize, kind: FaultKind, clock: WallClock) {
-        if let Some(recorder) = &self.recorder {
-            let node = self.site.graph.nodes()[node].name.clone();
-            recorder.fault(Fault { node, time: clock.now().max(0), kind });
+    fn record(&mut self, node: usize, kind: FaultKind, clock: WallClock) {
+        // What happens to nodes of other machines is told by these.
+        if !self.site.settings.is_here(node) {
+            return;
+        }
+        let node = self.site.graph.nodes()[node].name.clone();
+        let fault = Fault { node, time: clock.now().max(0), kind };
+        match (&self.recorder, &mut self.bridge) {
+            (Some(recorder), _) => recorder.fault(fault),
+            (None, Some(bridge)) => bridge.tell_fault(fault),
+            (None, None) => {}
         }
     }
 

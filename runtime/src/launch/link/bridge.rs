@@ -11,7 +11,7 @@ use crate::launch::control::{Answer, Line, Order};
 use crate::launch::error::RunError;
 use crate::launch::report::{Exit, LinkReport};
 use crate::launch::worker::{Program, Worker};
-use crate::recording::ClockReading;
+use crate::recording::{ClockReading, Fault};
 use crate::time::{Nanos, to_seconds};
 
 /// How long the link may take to open the network.
@@ -25,11 +25,20 @@ pub(in crate::launch) struct Bridge {
     placement: Placement,
     proxies: Vec<Proxy>,
     all_ready: bool,
-    begin: Option<Nanos>,
+    begin: Option<Begin>,
     finished: bool,
     report: LinkReport,
     /// What has been said of the ends of this machine's nodes.
     told: BTreeMap<String, Exit>,
+}
+
+/// The start of a run on this machine.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::launch) struct Begin {
+    /// When the clock of the run shows 0, on this machine's monotonic clock.
+    pub(in crate::launch) epoch: Nanos,
+    /// The run has begun without this machine: its nodes go on where others knew them last.
+    pub(in crate::launch) again: bool,
 }
 
 /// A node of another machine.
@@ -51,6 +60,8 @@ pub(in crate::launch) enum Turn {
     TimeOver,
     /// Give it to the recorder.
     Clocks(Vec<ClockReading>),
+    /// Give them to the recorder.
+    Faults(Vec<Fault>),
 }
 
 impl Bridge {
@@ -161,14 +172,19 @@ impl Bridge {
                 self.all_ready = true;
                 None
             }
-            News::Begin { epoch } => {
-                self.begin = Some(epoch);
+            News::Begin { epoch, again } => {
+                self.begin = Some(Begin { epoch, again });
                 None
             }
             News::Silent { host, silent } => {
                 self.report.silences += 1;
                 Some(Turn::Tell(format!("machine {host} has been silent for {:.2} s", seconds(silent))))
             }
+            News::Again { host } => {
+                self.report.rejoined += 1;
+                Some(Turn::Tell(format!("machine {host} was started again and takes part again")))
+            }
+            News::Faults { faults } => Some(Turn::Faults(faults)),
             News::Back { host } => Some(Turn::Tell(format!("machine {host} is heard again"))),
             News::Gone { host, silent } => {
                 let why = format!("it has been silent for {:.1} s", seconds(silent));
@@ -211,7 +227,7 @@ impl Bridge {
         &mut self,
         epoch: impl Fn() -> Nanos,
         mut each: impl FnMut(&str) -> bool,
-    ) -> Result<Nanos, RunError> {
+    ) -> Result<Begin, RunError> {
         let start = Instant::now();
         self.worker.order(&Order::Link { word: Word::Ready });
         let patience = Duration::from_nanos(self.placement.patience.unsigned_abs());
@@ -228,14 +244,14 @@ impl Bridge {
                     Turn::End { host, why } => {
                         return Err(RunError::Link { reason: format!("machine {host} has stopped: {why}") });
                     }
-                    Turn::Clocks(_) | Turn::TimeOver => {}
+                    Turn::Clocks(_) | Turn::Faults(_) | Turn::TimeOver => {}
                 }
             }
-            if self.all_ready && self.placement.me == self.placement.lead {
-                break epoch();
+            if let Some(begin) = self.begin {
+                break begin;
             }
-            if let Some(epoch) = self.begin {
-                break epoch;
+            if self.all_ready && self.placement.me == self.placement.lead {
+                break Begin { epoch: epoch(), again: false };
             }
             if !each("") {
                 return Err(RunError::Interrupted);
@@ -251,7 +267,7 @@ impl Bridge {
             }
             self.worker.wait(20);
         };
-        self.worker.order(&Order::Link { word: Word::Started { epoch: begin } });
+        self.worker.order(&Order::Link { word: Word::Started { epoch: begin.epoch } });
         Ok(begin)
     }
 
@@ -263,23 +279,24 @@ impl Bridge {
         }
     }
 
+    /// Something happened to a node of this machine: whoever records it is told.
+    pub(in crate::launch) fn tell_fault(&mut self, fault: Fault) {
+        self.worker.order(&Order::Link { word: Word::Fault { fault } });
+    }
+
     /// The nodes of this machine have stopped: waits until everything has been passed on, and the other machines are over.
     pub(in crate::launch) fn finish(
         &mut self,
         why: String,
         exits: BTreeMap<String, Exit>,
-        mut clocks: impl FnMut(Vec<ClockReading>),
+        mut record: impl FnMut(Turn),
     ) {
         let start = Instant::now();
         self.worker.order(&Order::Link { word: Word::Over { why, exits } });
         while !self.finished {
             match self.look() {
                 Ok(turns) => {
-                    for turn in turns {
-                        if let Turn::Clocks(readings) = turn {
-                            clocks(readings);
-                        }
-                    }
+                    turns.into_iter().for_each(&mut record);
                 }
                 Err(error) => {
                     self.report.problem = Some(error.to_string());

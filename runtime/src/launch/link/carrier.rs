@@ -17,6 +17,8 @@ const KEPT: usize = 64 << 20;
 const WINDOW: u64 = 32;
 /// After so long without progress records that are under way count as lost: a connection that was made anew has forgotten them.
 const FORGOTTEN: Nanos = 1_000_000_000;
+/// In place of the number that comes next: nothing is known of what came before.
+const UNKNOWN: u64 = u64::MAX;
 /// Bytes of what is said of one channel: the hash of its name, and the number that comes next.
 const RECEIPT: usize = 16;
 use iceoryx2_bb_elementary::generation::Generation;
@@ -88,7 +90,9 @@ impl Books {
 
     /// Which records have arrived here.
     pub(super) fn receipt(&self) -> Vec<u8> {
-        let records = self.pages.iter().filter(|page| page.records && page.received.load(Relaxed) > 0);
+        let records = self.pages.iter().filter(|page| {
+            page.records && page.received.load(Relaxed) > 0 && page.next.load(Relaxed) != UNKNOWN
+        });
         let entry = |page: &Page| [fnv1a(page.topic.name.as_bytes()), page.next.load(Relaxed)];
         records.flat_map(entry).flat_map(u64::to_le_bytes).collect()
     }
@@ -117,6 +121,17 @@ impl Books {
                 page.arrived_there.store(out, Relaxed);
             }
         }
+    }
+
+    /// The number after that of the last message that came on a channel; 0 where none came.
+    pub(super) fn next(&self, channel: &str) -> u64 {
+        let page = self.pages.iter().find(|page| page.topic.name == channel);
+        page.map(|page| page.next.load(Relaxed)).filter(|next| *next != UNKNOWN).unwrap_or(0)
+    }
+
+    /// This machine takes part again: what comes next has any number.
+    pub(super) fn begin_anywhere(&self) {
+        self.pages.iter().for_each(|page| page.next.store(UNKNOWN, Relaxed));
     }
 
     /// How many messages are kept.
@@ -166,6 +181,10 @@ impl Page {
             return false;
         };
         let next = self.next.load(Relaxed);
+        if next == UNKNOWN {
+            self.next.store(number.saturating_add(1), Relaxed);
+            return true;
+        }
         // A smaller one comes from a node that was started again and repeats a number, or from nobody of ours.
         self.lost.fetch_add(number.saturating_sub(next).min(1 << 32), Relaxed);
         self.next.store(number.saturating_add(1).max(next), Relaxed);

@@ -26,7 +26,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-pub(super) use bridge::{Bridge, Turn};
+pub(super) use bridge::{Begin, Bridge, Turn};
 pub(super) use hosts::Placement;
 pub use hosts::{HostSpec, LinkSpec, OnGone};
 pub(super) use page::ClockPage;
@@ -34,7 +34,7 @@ pub(super) use page::ClockPage;
 pub(super) use serve::serve;
 
 use super::report::Exit;
-use crate::recording::ClockReading;
+use crate::recording::{ClockReading, Fault};
 use crate::time::Nanos;
 
 /// What the link is called among nodes, whose names are made of letters, digits and underscores.
@@ -55,6 +55,8 @@ pub(super) enum Word {
     Started { epoch: Nanos },
     /// How nodes of this machine ended, as far as they have.
     Exits { exits: BTreeMap<String, Exit> },
+    /// Something happened to a node of this machine, which another one records.
+    Fault { fault: Fault },
     /// All nodes of this machine have stopped, for this reason.
     Over { why: String, exits: BTreeMap<String, Exit> },
 }
@@ -67,8 +69,9 @@ pub(super) enum News {
     Waits { waits_for: Vec<String> },
     /// All machines wait for the common start.
     AllReady,
-    /// The leading machine has begun: at this time of this machine's monotonic clock.
-    Begin { epoch: Nanos },
+    /// The leading machine has begun: at this time of this machine's monotonic clock. Or the run goes on without this machine,
+    /// which takes part again.
+    Begin { epoch: Nanos, again: bool },
     /// Nothing has come from a machine for so long.
     Silent { host: String, silent: Nanos },
     /// It is heard again.
@@ -77,6 +80,10 @@ pub(super) enum News {
     Gone { host: String, silent: Nanos },
     /// Its run is over.
     Over { host: String, why: String },
+    /// It was started again, and takes part again.
+    Again { host: String },
+    /// Something happened to nodes of another machine: to be recorded.
+    Faults { faults: Vec<Fault> },
     /// Nodes of it ended.
     Exits { host: String, exits: BTreeMap<String, Exit> },
     /// How the clocks stand to each other.

@@ -9,7 +9,7 @@ use zenoh::qos::Priority;
 use super::News;
 use super::carrier::Books;
 use super::clock::Estimate;
-use super::hosts::Placement;
+use super::hosts::{OnGone, Placement};
 use super::mirror::Mirror;
 use super::page::{ClockPage, Standing};
 use super::session::{Ear, lock, send_tick};
@@ -17,6 +17,7 @@ use super::wire::{Stage, State, Tick};
 use crate::clock::monotonic;
 use crate::graph::Graph;
 use crate::launch::control::{Answer, Line};
+use crate::launch::plan;
 use crate::launch::report::Exit;
 use crate::recording::ClockReading;
 use crate::time::Nanos;
@@ -40,8 +41,12 @@ pub(super) struct Peer {
     silent: bool,
     gone: bool,
     over: bool,
-    /// Which of its runs was heard first.
+    /// Which of its runs takes part.
     incarnation: Option<u64>,
+    /// Which one was told to stay away.
+    refused: Option<u64>,
+    /// Faults of its nodes that the recording has.
+    faults: usize,
 }
 
 /// When what is due next.
@@ -99,7 +104,7 @@ impl Post<'_> {
     }
 
     /// Says what is due, and takes in what has come.
-    pub(super) fn turn(&mut self, line: &mut Line) -> Result<(), String> {
+    pub(super) fn turn(&mut self, line: &mut Line, books: &Books) -> Result<(), String> {
         let now = Instant::now();
         if self.due.tick <= now {
             self.due.tick = now + if self.told_ready { TICKS.1 } else { TICKS.0 };
@@ -120,7 +125,7 @@ impl Post<'_> {
             }
             self.say(all);
             self.hear_pages();
-            self.watch(line)?;
+            self.watch(line, books)?;
         }
         Ok(())
     }
@@ -157,6 +162,26 @@ impl Post<'_> {
             let (now, at) = (monotonic(), lock(&self.ear[host]).at);
             books.forget(now, now.saturating_sub(at) < self.placement.silence);
         }
+    }
+
+    /// Tells a machine that was started again what is known of its nodes.
+    fn remind(&self, host: usize, books: &Books) {
+        let next = |node: usize| {
+            let name = |topic: crate::channel::Topic| books.next(&topic.name);
+            (name(plan::output(self.graph, node)), name(plan::records(self.graph, node)))
+        };
+        let memory = self.mirror.memory(self.placement, host, next);
+        let put =
+            self.session.put(format!("memory/{}/{}", self.name(host), self.placement.my_name()), memory);
+        // It is sent again until that machine takes part.
+        let _ = put.wait();
+    }
+
+    /// Whether another machine's clock says when the run begins here: the leading one's, and where that is this one or is not
+    /// there, any that has begun.
+    fn gives_the_start(&self, host: usize) -> bool {
+        let lead = self.placement.lead;
+        host == lead || lead == self.placement.me || lock(&self.ear[lead]).state.is_none()
     }
 
     pub(super) fn all_over(&self) -> bool {
@@ -219,7 +244,7 @@ impl Post<'_> {
     }
 
     /// What the others' states mean for this machine.
-    fn watch(&mut self, line: &mut Line) -> Result<(), String> {
+    fn watch(&mut self, line: &mut Line, books: &Books) -> Result<(), String> {
         let mut say = |news: News| line.send(&Answer::Link { news });
         let mut waits_for = Vec::new();
         for host in self.others() {
@@ -232,8 +257,16 @@ impl Post<'_> {
                 waits_for.push(format!("{name}, which has not answered"));
                 continue;
             };
+            let running = matches!(self.state.stage, Stage::Running { .. });
             if let Some(problem) = self.state.terms.disagreement(&state.terms) {
-                return Err(format!("machine {name} {problem}"));
+                if !running {
+                    return Err(format!("machine {name} {problem}"));
+                }
+                // Whoever comes later, and does not fit, ends nobody's run: it finds out by itself.
+                if self.peers[host].refused.replace(state.incarnation) != Some(state.incarnation) {
+                    say(News::Trouble { text: format!("machine {name} stays outside: it {problem}") });
+                }
+                continue;
             }
             let silent_for = monotonic().saturating_sub(at);
             let peer = &mut self.peers[host];
@@ -250,31 +283,55 @@ impl Post<'_> {
                 say(News::Gone { host: name.clone(), silent: silent_for });
             }
             let first = *peer.incarnation.get_or_insert(state.incarnation);
-            if first != state.incarnation && !matches!(self.state.stage, Stage::Running { .. }) {
+            if first != state.incarnation && !running {
                 peer.incarnation = Some(state.incarnation);
+            } else if first != state.incarnation && self.placement.on_gone == OnGone::Continue {
+                // It knows nothing of what was before, and is reminded.
+                peer.incarnation = Some(state.incarnation);
+                (peer.over, peer.faults) = (false, 0);
+                say(News::Again { host: name.clone() });
             } else if first != state.incarnation {
-                // It knows nothing of what was before; its nodes would count from 0 again.
                 if !std::mem::replace(&mut peer.over, true) {
                     say(News::Over { host: name, why: "it was started again while the run went on".into() });
                 }
                 continue;
+            }
+            if running && matches!(state.stage, Stage::Opening | Stage::Ready) {
+                self.remind(host, books);
+            }
+            let (faults, known) = state.faults_after(self.peers[host].faults);
+            if self.placement.records_here() && !faults.is_empty() {
+                self.peers[host].faults = known;
+                say(News::Faults { faults });
             }
             match &state.stage {
                 Stage::Opening => waits_for.push(format!("{name}, whose nodes come up")),
                 _ if exchanges < EXCHANGES => waits_for.push(format!("the clock of {name}")),
                 Stage::Ready => {}
                 Stage::Running { epoch } => {
-                    if host == self.placement.lead
-                        && !self.told_begin
+                    if !self.told_begin
                         && self.state.stage == Stage::Ready
-                        && let Some(estimate) = lock(&self.ear[host]).offsets.estimate(monotonic())
+                        && self.gives_the_start(host)
+                        && let Some(estimate) = self.estimate(host)
                     {
-                        self.told_begin = true;
-                        say(News::Begin { epoch: epoch.saturating_sub(estimate.offset) });
+                        let epoch = epoch.saturating_sub(estimate.offset);
+                        // One that is still to come is common to all. Otherwise the run has begun without this machine.
+                        let again = monotonic() > epoch;
+                        let memory = lock(&self.ear[host]).memory.take();
+                        if let Some(memory) = memory.as_ref().filter(|_| again) {
+                            self.mirror.remember(self.placement, memory);
+                            books.begin_anywhere();
+                        }
+                        if !again || memory.is_some() {
+                            (self.told_begin, self.told_ready) = (true, true);
+                            say(News::Begin { epoch, again });
+                        } else {
+                            waits_for.push(format!("{name}, which knows what the nodes here did before"));
+                        }
                     }
                 }
-                Stage::Over { why } if !peer.over => {
-                    peer.over = true;
+                Stage::Over { why } if !self.peers[host].over => {
+                    self.peers[host].over = true;
                     say(News::Over { host: name.clone(), why: why.clone() });
                 }
                 Stage::Over { .. } => {}

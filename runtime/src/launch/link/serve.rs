@@ -120,6 +120,8 @@ fn work(
             stage: Stage::Opening,
             exits: BTreeMap::new(),
             clocks: Vec::new(),
+            faults: Vec::new(),
+            forgotten: 0,
         },
         peers: placement.hosts.iter().map(|_| Peer::default()).collect(),
         told_ready: false,
@@ -152,6 +154,7 @@ fn work(
                     post.due.state = Instant::now();
                 }
                 Order::Link { word: Word::Exits { exits } } => post.state.exits = exits,
+                Order::Link { word: Word::Fault { fault } } => post.state.add_fault(fault),
                 Order::Link { word: Word::Over { why, exits } } => {
                     post.state.exits = exits;
                     over = Some(Instant::now());
@@ -175,7 +178,7 @@ fn work(
             }
         }
         post.receipts(&books);
-        post.turn(line)?;
+        post.turn(line, &books)?;
         let Some(since) = over else { continue };
         if !matches!(post.state.stage, Stage::Over { .. }) {
             // What the nodes left in the channels goes out first.

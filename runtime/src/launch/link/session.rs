@@ -27,6 +27,8 @@ pub(super) struct Heard {
     pub(super) at: Nanos,
     pub(super) offsets: Offsets,
     pub(super) telegrams: Vec<Vec<u8>>,
+    /// What it knows of this machine's nodes, which have run before.
+    pub(super) memory: Option<Vec<u8>>,
 }
 
 /// What zenoh's threads write and the link reads.
@@ -127,6 +129,10 @@ pub(super) fn listen(
             let Some(host) = from(sample.key_expr().as_str(), &names) else { return };
             let Ok(state) = serde_json::from_slice::<State>(&sample.payload().to_bytes()) else { return };
             let mut heard = lock(&ear[host]);
+            if heard.state.as_ref().is_some_and(|before| before.incarnation != state.incarnation) {
+                // It was started again, and its clock may be another one.
+                *heard = Heard::default();
+            }
             heard.at = monotonic();
             heard.state = Some(state);
         };
@@ -144,6 +150,14 @@ pub(super) fn listen(
             }
         };
         ears.push(("pages/*".into(), Box::new(pages)));
+    }
+    {
+        let (ear, names) = (Arc::clone(ear), Arc::clone(&names));
+        let memory = move |sample: zenoh::sample::Sample| {
+            let Some(host) = from(sample.key_expr().as_str(), &names) else { return };
+            lock(&ear[host]).memory = Some(sample.payload().to_bytes().into_owned());
+        };
+        ears.push((format!("memory/{}/*", placement.my_name()), Box::new(memory)));
     }
     {
         let (names, books, recorder) = (Arc::clone(&names), Arc::clone(books), placement.recorder);

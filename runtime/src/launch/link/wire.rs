@@ -12,7 +12,7 @@ use crate::graph::Graph;
 use crate::launch::plan::{self, Settings};
 use crate::launch::report::Exit;
 use crate::random::fnv1a;
-use crate::recording::ClockReading;
+use crate::recording::{ClockReading, Fault};
 use crate::time::Nanos;
 
 /// The state of one machine.
@@ -27,6 +27,30 @@ pub(in crate::launch) struct State {
     pub(in crate::launch) exits: BTreeMap<String, Exit>,
     /// What it knows of the others' clocks.
     pub(in crate::launch) clocks: Vec<ClockReading>,
+    /// What happened to its nodes, for the recording: all of it, again and again, and how many are too old to be told.
+    pub(in crate::launch) faults: Vec<Fault>,
+    pub(in crate::launch) forgotten: usize,
+}
+
+/// So many faults of a machine are told again and again.
+const FAULTS: usize = 256;
+
+impl State {
+    /// Something happened to a node of this machine.
+    pub(super) fn add_fault(&mut self, fault: Fault) {
+        if self.faults.len() == FAULTS {
+            self.faults.remove(0);
+            self.forgotten += 1;
+        }
+        self.faults.push(fault);
+    }
+
+    /// The faults after the first `known` of them, and how many there are in all.
+    pub(super) fn faults_after(&self, known: usize) -> (Vec<Fault>, usize) {
+        let all = self.forgotten.saturating_add(self.faults.len());
+        let new = all.saturating_sub(known).min(self.faults.len());
+        (self.faults[self.faults.len() - new..].to_vec(), all)
+    }
 }
 
 /// How far a machine is.
@@ -162,6 +186,7 @@ impl Tick {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::recording::FaultKind;
 
     #[test]
     fn what_is_no_tick_is_none() {
@@ -173,16 +198,45 @@ mod tests {
         }
     }
 
-    #[test]
-    fn a_disagreement_is_named() {
-        let terms = Terms {
+    fn terms() -> Terms {
+        Terms {
             version: "1".into(),
             graph: 1,
             seed: 0,
             duration: Some(10_000_000_000),
             placement: "a on x".into(),
             layouts: [("arm".to_owned(), 5)].into(),
+        }
+    }
+
+    #[test]
+    fn each_fault_is_heard_once() {
+        let mut state = State {
+            terms: terms(),
+            incarnation: 1,
+            stage: Stage::Opening,
+            exits: BTreeMap::new(),
+            clocks: Vec::new(),
+            faults: Vec::new(),
+            forgotten: 0,
         };
+        let fault =
+            |time| Fault { node: "arm".into(), time, kind: FaultKind::Restarted { step: 1, shift: 0 } };
+        state.add_fault(fault(0));
+        let (new, known) = state.faults_after(0);
+        assert_eq!((new, known), (vec![fault(0)], 1));
+        assert_eq!(state.faults_after(known), (Vec::new(), 1));
+        (1..=FAULTS as Nanos).for_each(|time| state.add_fault(fault(time)));
+        let (new, known) = state.faults_after(known);
+        assert_eq!((new.len(), known), (FAULTS, FAULTS + 1));
+        // One that was not listened to for long has missed some.
+        assert_eq!(state.faults_after(0).0[0], fault(1));
+        assert_eq!(state.faults_after(usize::MAX).0, []);
+    }
+
+    #[test]
+    fn a_disagreement_is_named() {
+        let terms = terms();
         assert_eq!(terms.disagreement(&terms.clone()), None);
         let cases: [(Terms, &str); 5] = [
             (Terms { version: "2".into(), ..terms.clone() }, "version 2"),
