@@ -15,7 +15,7 @@ use crate::error::raise;
 use crate::graph::NativeGraph;
 
 /// A trainable delay: the connection, its bounds (s), and whether payloads are interpolated.
-type Trainable = (usize, f64, f64, bool);
+pub(crate) type Trainable = (usize, f64, f64, bool);
 
 #[pymethods]
 impl NativeGraph {

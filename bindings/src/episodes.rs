@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
-use parallax_runtime::recording::{Recording, write};
+use parallax_runtime::recording::Recording;
 use parallax_runtime::time::{from_seconds, to_seconds};
-use parallax_sim::{Episode, Executor, generate_many};
+use parallax_sim::{Episode, generate_many};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -21,7 +21,7 @@ pub(crate) struct NativeEpisodes {
 }
 
 impl NativeEpisodes {
-    fn of(graph: &NativeGraph, episodes: Vec<Episode>) -> Self {
+    pub(crate) fn of(graph: &NativeGraph, episodes: Vec<Episode>) -> Self {
         Self {
             episodes,
             names: graph.graph.nodes().iter().map(|node| node.name.clone()).collect(),
@@ -102,15 +102,6 @@ impl NativeGraph {
         let duration = from_seconds(duration);
         let drawn = py.detach(|| generate_many(&self.graph, seed, duration, episodes)).map_err(raise)?;
         Ok(NativeEpisodes::of(self, drawn))
-    }
-
-    /// Runs the graph under the simulated clock and writes the recording.
-    fn simulate(&self, py: Python<'_>, path: PathBuf, duration: f64, seed: u64) -> PyResult<()> {
-        py.detach(|| {
-            let executor = Executor::new(self.graph.clone(), seed);
-            let recording = executor.record(from_seconds(duration)).map_err(raise)?;
-            write(&path, &recording).map_err(raise)
-        })
     }
 
     /// The schedules of recordings of this graph.

@@ -26,7 +26,7 @@ type PythonKind = (String, Vec<(String, String, Vec<String>)>, (String, Vec<Stri
 pub(crate) struct NativeGraph {
     pub(crate) graph: Graph,
     /// What nodes draw their starting values from: the recording's, or 0.
-    seed: u64,
+    pub(crate) seed: u64,
 }
 
 #[pymethods]
@@ -146,7 +146,7 @@ impl NativeGraph {
 }
 
 /// The registry with kinds of which only the shape is known: they are scheduled and compiled, never run here.
-fn with_python(mut registry: Registry, kinds: Vec<PythonKind>) -> PyResult<Registry> {
+pub(crate) fn with_python(mut registry: Registry, kinds: Vec<PythonKind>) -> PyResult<Registry> {
     for (name, inputs, (message, leaves), initial) in kinds {
         if leaves.len() != initial.len() {
             return Err(raise(format!(

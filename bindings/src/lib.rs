@@ -5,14 +5,17 @@
 //! Python exception that carries the same message.
 
 mod arrays;
+mod augment;
 mod batch;
 mod compiled;
 mod episodes;
 mod error;
+mod gate;
 mod graph;
 mod live;
 mod program;
 mod recording;
+mod run;
 mod system;
 mod worker;
 
@@ -35,6 +38,8 @@ mod _native {
     use crate::program::{NativeProgram, models};
     #[pymodule_export]
     use crate::recording::{load, trajectories};
+    #[pymodule_export]
+    use crate::run::NativeRun;
     #[pymodule_export]
     use crate::system::system;
     #[pymodule_export]

@@ -23,11 +23,15 @@ pub(crate) const PYTHON: &str = "python";
 /// leaves and the data of the output, and `stop(why)`.
 #[pyfunction]
 pub(crate) fn work(py: Python<'_>, arguments: Vec<String>, build: Py<PyAny>) -> bool {
-    let kind = NodeKind::external(move |context, inputs, output| {
-        Ok(Box::new(Python::attach(|py| PythonNode::build(py, &build, context, inputs, output))?))
-    });
-    let registry = parallax_nodes::registry().with(PYTHON, kind);
+    let registry = parallax_nodes::registry().with(PYTHON, python_kind(build));
     py.detach(|| launch::node_main(arguments.into_iter(), &registry)) == ExitCode::SUCCESS
+}
+
+/// The kind of node that is written in Python, stepped by this interpreter.
+pub(crate) fn python_kind(build: Py<PyAny>) -> NodeKind {
+    NodeKind::external(move |context, inputs, output| {
+        Ok(Box::new(Python::attach(|py| PythonNode::build(py, &build, context, inputs, output))?))
+    })
 }
 
 struct PythonNode {
@@ -105,7 +109,7 @@ fn call(py: Python<'_>, step: &Py<PyAny>, view: &Step<'_>) -> PyResult<(Vec<f64>
 
 /// A window: the stamps `[message, 3]` of seq (−1 for none), sent and received (ns), the leaves `[message, leaf]`, and
 /// the data of each message.
-fn window<'py>(py: Python<'py>, input: &InputWindow) -> PyResult<Bound<'py, PyTuple>> {
+pub(crate) fn window<'py>(py: Python<'py>, input: &InputWindow) -> PyResult<Bound<'py, PyTuple>> {
     let count = input.stamps().len();
     let stamps = input
         .stamps()

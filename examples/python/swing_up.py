@@ -9,7 +9,6 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-
 import parallax as px
 from parallax import train as pt
 
@@ -53,9 +52,7 @@ def main() -> None:
         folder=options.out,
         resume=options.resume,
     )
-    print(
-        f"{training.steps_per_second:,.0f} steps a second; the log, the curves and the policies are in {options.out}"
-    )
+    print(f"{training.steps_per_second:,.0f} steps a second; the log, the curves and the policies are in {options.out}")
 
     # The policy's node in Rust in the agent's place.
     spec = px.Graph("pendulum-simulated").spec
@@ -69,15 +66,11 @@ def main() -> None:
             edge["port"] = "observation"
     recording = px.Graph(spec).simulate(options.out / "run.mcap", 10.0, seed=1)
     world = recording["world"]
-    angle, speed = (
-        world.payload[:, world.leaves.index(leaf)] for leaf in ("angle", "speed")
-    )
+    angle, speed = (world.payload[:, world.leaves.index(leaf)] for leaf in ("angle", "speed"))
     upright = (np.cos(angle) > np.cos(np.radians(10))) & (np.abs(speed) < 0.5)
     if upright.any():
         first = int(np.argmax(upright))
-        print(
-            f"upright after {world.sent[first]:.1f} s, and {upright[first:].mean():.1%} of the time from then on"
-        )
+        print(f"upright after {world.sent[first]:.1f} s, and {upright[first:].mean():.1%} of the time from then on")
     else:
         print("it never stood upright: train longer")
 

@@ -296,6 +296,10 @@ pub enum NodeError {
     /// The node gave up.
     #[error("{0}")]
     Failed(String),
+    /// The run is over for this node: nobody wants a further step of it, and that is no fault. A simulated run ends there; in
+    /// real time the node waits for the end of the run, which whoever made it say so has to bring about.
+    #[error("nobody wants a further step of it")]
+    Over,
 }
 
 impl NodeError {

@@ -73,6 +73,9 @@ pub struct NodeKind {
     by_graph: Option<Arc<MakeByGraph>>,
 }
 
+/// Puts a node into another one.
+pub type Wrap = dyn Fn(&NodeContext, Box<dyn ErasedNode>) -> Box<dyn ErasedNode> + Send + Sync;
+
 /// Makes the kind of one node of a graph: from the graph, the node, and the messages of other nodes by their names. The error
 /// says what is wrong with the node.
 pub type MakeByGraph =
@@ -185,6 +188,22 @@ impl NodeKind {
     /// Whether it is run by another program.
     pub fn is_external(&self) -> bool {
         self.external.is_some()
+    }
+
+    /// The kind with each node that it builds put into another one by `wrap`, such as one that waits before every step.
+    #[must_use]
+    pub fn around(self, wrap: Arc<Wrap>) -> Self {
+        let Self { build, external, by_graph, .. } = self.clone();
+        let around = wrap.clone();
+        let build: Arc<Build> = Arc::new(move |context| Ok(around(context, build(context)?)));
+        let around = wrap.clone();
+        let external = external.map(|build| -> Arc<BuildExternal> {
+            Arc::new(move |context, inputs, output| Ok(around(context, build(context, inputs, output)?)))
+        });
+        let by_graph = by_graph.map(|make| -> Arc<MakeByGraph> {
+            Arc::new(move |graph, node, layout| Ok(make(graph, node, layout)?.around(wrap.clone())))
+        });
+        Self { build, external, by_graph, ..self }
     }
 
     /// An external kind whose messages are known.

@@ -92,6 +92,8 @@ pub struct Outcome {
     pub faults: Vec<Fault>,
     /// Changes that were planned for steps that were never made.
     pub changes_left: usize,
+    /// When a node said that the run is over ([`NodeError::Over`]): it took so long, and no longer.
+    pub over: Option<Nanos>,
 }
 
 /// Where the messages of one connection are at the end of a run.
@@ -188,7 +190,10 @@ impl Executor {
                 let target = Duration::from_secs_f64(event.time.max(0) as f64 * 1e-9 / factor);
                 std::thread::sleep(target.saturating_sub(began.elapsed()));
             }
-            run.happen(event)?;
+            // As at the end of the time: nothing starts or arrives any more, and what runs is ended.
+            if run.over.is_none() || event.class == Class::End {
+                run.happen(event)?;
+            }
         }
         Ok(run.outcome())
     }
@@ -242,6 +247,8 @@ struct Run<'a, S> {
     queue: Queue,
     steps: u64,
     faults: Vec<Fault>,
+    /// When a node said that the run is over.
+    over: Option<Nanos>,
 }
 
 impl<'a, S: RecordingSink> Run<'a, S> {
@@ -298,6 +305,7 @@ impl<'a, S: RecordingSink> Run<'a, S> {
             queue: Queue::default(),
             steps: 0,
             faults: Vec::new(),
+            over: None,
         })
     }
 
@@ -370,6 +378,10 @@ impl<'a, S: RecordingSink> Run<'a, S> {
         let seq = step.seq;
         let mut space = DataSpace::new(&mut state.room);
         let made = state.node.step_with_data(&step, &mut state.output, &mut space);
+        if made == Err(NodeError::Over) {
+            (self.over, self.duration) = (Some(now), now);
+            return Ok(());
+        }
         if let Err(error) = made {
             return self.die(node, now, FaultKind::Failed { message: error.to_string() });
         }
@@ -498,7 +510,7 @@ impl<'a, S: RecordingSink> Run<'a, S> {
         });
         let changes_left = self.nodes.iter().map(|node| node.planned.len()).sum();
         let connections = connections.collect();
-        Outcome { steps: self.steps, connections, faults: self.faults, changes_left }
+        Outcome { steps: self.steps, connections, faults: self.faults, changes_left, over: self.over }
     }
 }
 

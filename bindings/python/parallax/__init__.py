@@ -10,40 +10,58 @@ Times are seconds since the run's start, in SI units throughout, unless a name e
 from ._native import ParallaxError, __version__
 from .cache import use_compilation_cache
 from .compiled import CompiledGraph
+from .delay import Constant, Mixture, Normal, Trainable
 from .delays import TrainableDelay
-from .graph import Episodes, Graph
+from .flow import DataFlow
+from .graph import FAST_AS_POSSIBLE, REAL_TIME, SIMULATED, WALL_CLOCK, Episodes, Graph
 from .live import NodeReading, node_reading, reset_state, set_parameter, set_parameters
+from .member import Connection, Node, PlainNode, RustNode
 from .model import Model, models
 from .native_rollout import NativeRollout
-from .nodes import Message, ModelNode, Node, Port, Step, Window
+from .nodes import Message, ModelNode, Port, Step, Stepped, Window
 from .program import Program
 from .recording import NodeTrack, PortTrack, Recording, Trajectory, load, trajectories
+from .running import RunState
 from .state import GraphState, Observation
 from .system import System
 from .tables import Tables
 from .xla import run_small_loops_whole
 
 __all__ = [
+    "FAST_AS_POSSIBLE",
+    "REAL_TIME",
+    "SIMULATED",
+    "WALL_CLOCK",
     "CompiledGraph",
+    "Connection",
+    "Constant",
+    "DataFlow",
     "Episodes",
     "Graph",
     "GraphState",
     "Message",
+    "Mixture",
     "Model",
     "ModelNode",
     "NativeRollout",
     "Node",
     "NodeReading",
     "NodeTrack",
+    "Normal",
     "Observation",
     "ParallaxError",
+    "PlainNode",
     "Port",
     "PortTrack",
     "Program",
     "Recording",
+    "RunState",
+    "RustNode",
     "Step",
+    "Stepped",
     "System",
     "Tables",
+    "Trainable",
     "TrainableDelay",
     "Trajectory",
     "Window",

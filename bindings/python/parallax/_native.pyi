@@ -49,6 +49,14 @@ class Compiled:
         precision: str,
     ) -> dict[str, dict[str, NDArray[np.float64]]]: ...
 
+class Run:
+    """A run that goes on in a thread of its own."""
+
+    def due(self) -> tuple[int, int, int, list[Any]] | None: ...
+    def make(self, output: Sequence[float] | None = None) -> list[float] | None: ...
+    def stop(self) -> None: ...
+    def finish(self) -> str | None: ...
+
 class Graph:
     """A graph that was checked."""
 
@@ -66,7 +74,31 @@ class Graph:
     def nodes(self) -> list[dict[str, Any]]: ...
     def generate(self, seed: int, duration: float, episodes: int) -> Episodes: ...
     def recorded(self, paths: Sequence[_Path]) -> Episodes: ...
-    def simulate(self, path: _Path, duration: float, seed: int) -> None: ...
+    def begin(
+        self,
+        *,
+        path: _Path,
+        seed: int,
+        build: Any,
+        duration: float | None,
+        factor: float | None,
+        stepped: bool,
+    ) -> Run: ...
+    def launch(
+        self,
+        *,
+        path: _Path,
+        seed: int,
+        build: Any,
+        programs: dict[str, list[str]],
+        node_command: list[str],
+        private: dict[str, dict[str, str]],
+        launch: str,
+        patience: float,
+    ) -> Run: ...
+    def augment(
+        self, episodes: Episodes, changes: str, seed: int
+    ) -> tuple[Graph, Episodes, list[tuple[int, float, float, bool]]]: ...
     def compile(self, episodes: Episodes, **options: Any) -> Compiled: ...
 
 def load(path: _Path) -> dict[str, Any]: ...

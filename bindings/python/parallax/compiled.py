@@ -24,7 +24,7 @@ from jax import lax
 from .delays import select_by_output, select_messages
 from .leaves import alike, arrays, chosen, repeated, size_in_bytes, stored
 from .native_rollout import NativeRollout, by_leaf, spread
-from .nodes import Message, Node, Step, Window
+from .nodes import Message, Step, Stepped, Window
 from .noise import normals, words
 from .slots import Input, Slot, read_slot
 from .state import GraphState, Observation
@@ -45,7 +45,7 @@ STREAMS = 1_000_000
 @dataclass(frozen=True)
 class _NodeInfo:
     name: str
-    node: Node
+    node: Stepped
     history: int
     leaves: tuple[Sequence[str], Sequence[str]]
     """Of a Rust model's state and output."""
@@ -69,7 +69,7 @@ class CompiledGraph:
     def __init__(
         self,
         compiled: Mapping[str, Any],
-        nodes: Sequence[tuple[str, Node]],
+        nodes: Sequence[tuple[str, Stepped]],
         ports: Sequence[Sequence[str]],
         connections: Sequence[str],
         native: Any = None,

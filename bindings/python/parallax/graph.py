@@ -4,38 +4,92 @@ from __future__ import annotations
 
 import json
 import os
+import tempfile
 import tomllib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from . import _native
+from ._native import ParallaxError
+from .assemble import all_nodes, assembled, beginnings
 from .compiled import CompiledGraph
-from .nodes import ModelNode, Node, PinnedNode, Port
+from .describe import described, looking_in
+from .flow import DataFlow, jax_nodes
+from .member import Member
+from .nodes import ModelNode, PinnedNode, Port, Stepped
 from .program import Program
 from .recording import Recording, load
+from .running import RunState, Session, named_devices
+from .state import Observation
+from .stepping import Began, JaxStep, Shape
+from .types import Tree
 
-__all__ = ["Episodes", "Graph"]
+__all__ = ["FAST_AS_POSSIBLE", "REAL_TIME", "SIMULATED", "WALL_CLOCK", "Episodes", "Graph"]
 
 Episodes = _native.Episodes
 """The schedules of several runs: which step ran when and what it consumed, without payloads."""
 
 
+WALL_CLOCK: Literal["wall"] = "wall"
+"""In real time: every node is a process of its own."""
+SIMULATED: Literal["simulated"] = "simulated"
+"""Under a simulated clock, which draws the delays: the same seed gives the same run, bit for bit."""
+REAL_TIME = 1.0
+"""A simulated second a second."""
+FAST_AS_POSSIBLE = None
+"""Not held back."""
+
+
 class Graph:
     """A graph that was checked.
 
-    `text` is that of a `graph.toml`, a path to one, to a recording (`.mcap`), or the name of a graph that comes with
+    `Graph(supervisor, nodes)` is made of nodes that were connected: `Node`, `PlainNode` and `RustNode`. Else `source`
+    is the text of a `graph.toml`, a path to one, to a recording (`.mcap`), or the name of a graph that comes with
     Parallax. Nodes whose kind the program does not know are written in Python: `Graph.compile` takes them by name.
     Their inputs are what the graph connects to them; what they send is what their receivers in Rust expect.
+
+    The graph runs at its supervisor's rate: `init`, then `run` for each of its steps (or `reset` and `step`, which give
+    its outputs from outside), and `stop`. `clock` is `WALL_CLOCK` or `SIMULATED`, and under the latter
+    `real_time_factor` simulated seconds take a second at least.
     """
 
-    def __init__(self, source: str | os.PathLike[str] | Mapping[str, Any]) -> None:
+    def __init__(
+        self,
+        source: str | os.PathLike[str] | Mapping[str, Any] | Member,
+        nodes: Sequence[Member] | None = None,
+        *,
+        clock: Literal["wall", "simulated"] = WALL_CLOCK,
+        real_time_factor: float | None = None,
+        name: str | None = None,
+    ) -> None:
+        self._members: dict[str, Member] = {}
+        self._homeless: dict[str, str] = {}
+        self._folder: Path | None = None
+        self._supervisor: Member | None = None
+        if isinstance(source, Member):
+            self._supervisor, self._name = source, name or source.name
+            self._members = all_nodes(source, nodes)
+            source, self._homeless = assembled(source, self._members, self._name, beginnings(self._members, 0))
+        elif nodes is not None:
+            raise TypeError("a list of nodes goes with a supervisor: Graph(supervisor, nodes)")
+        elif isinstance(source, str | os.PathLike) and "\n" not in os.fspath(source):
+            self._folder = Path(source).absolute().parent
         self._native = _open(source)
         self._content = self._native.nodes()
         self.spec: dict[str, Any] = json.loads(self._native.json())
         """Nodes, connections and supervisor, as in a `graph.toml`."""
+        if clock == WALL_CLOCK and real_time_factor not in (None, REAL_TIME):
+            raise ValueError("the wall clock runs in real time; a real_time_factor is for clock=SIMULATED")
+        self._clock, self._factor = clock, real_time_factor
+        self._devices: dict[str, str] = {}
+        self._steps: dict[str, JaxStep] = {}
+        self._session: Session | None = None
+        self._runs: tempfile.TemporaryDirectory[str] | None = None
+        self._made = 0
 
     @property
     def nodes(self) -> list[str]:
@@ -95,7 +149,7 @@ class Graph:
             raise ValueError(f"the graph has no node `{node}`; it has {', '.join(self.nodes)}")
         return self.nodes.index(node)
 
-    def _pinned(self, node: str) -> Node:
+    def _pinned(self, node: str) -> Stepped:
         """A node of which only the messages are known."""
         content = self._content[self._place(node)]
         return PinnedNode((content["leaves"], content["initial"]))
@@ -107,10 +161,167 @@ class Graph:
     def simulate(self, path: str | os.PathLike[str], duration: float, seed: int = 0) -> Recording:
         """Runs the graph under the simulated clock for `duration` seconds, writes the recording to `path` and reads it.
 
-        Every node must be one that comes with Parallax.
+        Nodes in Python are stepped by this interpreter. Raises `ParallaxError` when a node fails.
         """
-        self._native.simulate(path, duration, seed)
+        session = self._prepared(seed, Path(path), "", SIMULATED)
+        session.simulate(duration)
         return load(path)
+
+    def warmup(self, devices: Any = None) -> None:
+        """Compiles ahead of time the steps of the nodes written in JAX that this process makes: all of them under the
+        simulated clock, the supervisor's on the wall clock. The others are traced, so that what is wrong with them is
+        said here, and compiled by their own processes before the common start.
+
+        `devices` says where they step: one for each node, by name or node, or one for all; devices of JAX, or text such
+        as `"cpu"` and `"gpu:0"`. Nodes without one step on the processor on the wall clock, and where JAX does by
+        default under the simulated one. Raises `ValueError` when a device is not there.
+        """
+        self._devices = named_devices(devices, self._written())
+        self._steps = {}
+        self._warm(beginnings(self._written(), 0), self._clock, trace=True)
+
+    def init(
+        self,
+        seed: int = 0,
+        *,
+        recording: str | os.PathLike[str] | None = None,
+        launch: str | os.PathLike[str] | None = None,
+        patience: float = 120.0,
+    ) -> RunState:
+        """The state before the first step of a run; nothing runs yet.
+
+        `seed` is that of all randomness. The run is recorded to `recording` (`.mcap`; a file there is replaced), or to
+        a temporary file. On the wall clock `launch` is the path of a `launch.toml` (docs/real-time.md), and every node
+        has `patience` seconds to get ready. What the nodes written in JAX begin with may be replaced before the first
+        step.
+        """
+        if self._session is not None and not self._session.ended:
+            self.stop()
+        if recording is None:
+            self._runs = self._runs or tempfile.TemporaryDirectory(prefix="parallax-run-")
+            recording = Path(self._runs.name) / f"run-{self._made}.mcap"
+            self._made += 1
+        text = "" if launch is None else Path(launch).read_text(encoding="utf-8")
+        self._session = self._prepared(seed, Path(recording), text, self._clock, patience)
+        return self._session.state()
+
+    def run(self, state: RunState) -> RunState:
+        """Waits for the supervisor's next step, lets it make that, and gives what is then. The first call starts the
+        run.
+
+        What was changed in `state` of the supervisor's parameters and state is what it steps with. Raises
+        `ParallaxError` with the reason when the run has ended, such as a node that failed.
+        """
+        session = self._running()
+        return session.make(state, session.due(state), None)
+
+    def reset(self, state: RunState) -> tuple[RunState, Observation]:
+        """Starts the run and waits for the supervisor's first step: what it sees there."""
+        session = self._running()
+        return state, session.observation(session.due(state))
+
+    def step(self, state: RunState, output: Tree | None = None) -> tuple[RunState, Observation]:
+        """Sends `output` in the place of what the supervisor's own step would send, and waits for its next step: what
+        it sees there. Without `output` its own step is made.
+
+        On the wall clock, what is done between two calls counts as the time that the supervisor's step takes.
+        """
+        session = self._running()
+        after = session.make(state, session.due(state), output)
+        return after, session.observation(session.due(after))
+
+    def stop(self) -> dict[str, Any] | None:
+        """Ends the run: all nodes stop in order, and the recording is complete. Gives the run's report: on the wall
+        clock that of `parallax run --json` (times in ns). Raises `ParallaxError` when the run could not be made."""
+        return None if self._session is None else self._session.stop()
+
+    def get_record(self) -> Recording:
+        """The recording of the last run, which must be stopped."""
+        if self._session is None or not self._session.ended or self._session.run is None:
+            raise ParallaxError("there is no recording: a graph is recorded from init() and run() to stop()")
+        return replace(load(self._session.path), kept=self._runs)
+
+    def around(self, native: _native.Graph, members: Mapping[str, Member]) -> Graph:
+        """A graph of another native one, with these nodes; it is compiled, and does not run."""
+        made = Graph.__new__(Graph)
+        made.__dict__ = {**self.__dict__, "_native": native, "_members": dict(members), "_session": None}
+        made.spec = json.loads(native.json())
+        made._content = native.nodes()
+        return made
+
+    def _running(self) -> Session:
+        if self._session is None:
+            raise ParallaxError("no run has begun: call init() first")
+        return self._session
+
+    def _written(self) -> dict[str, Member]:
+        """The nodes that Python wrote down; those of a graph.toml are made from what it says of them."""
+        if self._supervisor is None and not self._members:
+            self._members = self._described()
+        return self._members
+
+    def _described(self) -> dict[str, Member]:
+        """The nodes of a graph.toml that are written in JAX, or for a process of their own."""
+        found: dict[str, Member] = {}
+        for node in self.spec["node"]:
+            if node["kind"] == "python" and "class" in node.get("parameters", {}):
+                with looking_in(self._folder):
+                    made = described(node["name"], node["parameters"])
+                if isinstance(made, Member):
+                    found[node["name"]] = made
+        return found
+
+    def _prepared(
+        self, seed: int, path: Path, launch: str, clock: Literal["wall", "simulated"], patience: float = 120.0
+    ) -> Session:
+        written = self._written()
+        start = {name: own for name, own in beginnings(written, seed).items()}
+        spec = self.spec
+        if self._supervisor is not None:
+            spec, _ = assembled(self._supervisor, written, self._name, start)
+        for node in spec["node"]:
+            if node["name"] in self._devices:
+                node["parameters"] = {**node["parameters"], "device": self._devices[node["name"]]}
+        native = _open(spec) if self._supervisor is not None or self._devices else self._native
+        self._warm(start, clock)
+        return Session(
+            native=native,
+            spec=spec,
+            shapes={name: self._shape(name) for name in self.nodes},
+            clock=clock,
+            factor=self._factor,
+            steps={name: step for name, step in self._steps.items() if name in self._here(clock)},
+            written=written,
+            homeless=self._homeless,
+            seed=seed,
+            path=path,
+            launch=launch,
+            patience=patience,
+            start=start,
+            folder=self._folder,
+        )
+
+    def _here(self, clock: str) -> set[str]:
+        """The nodes that this process steps."""
+        return set(self.nodes) if clock == SIMULATED else {self.supervisor}
+
+    def _warm(self, start: Mapping[str, Began], clock: str, trace: bool = False) -> None:
+        """Compiles the steps that this process makes; with `trace`, traces the others."""
+        for name, own in start.items():
+            here = name in self._here(clock)
+            if name not in self._steps and (here or trace):
+                device = self._devices.get(name) if here else None
+                self._steps[name] = JaxStep(self._members[name].again(), name, self._shape(name), own, device)
+            if here:
+                self._steps[name].compiled()
+
+    def _shape(self, name: str) -> Shape:
+        """What a node receives and sends."""
+        content = self._content[self._place(name)]
+        inputs = [(port["name"], port["window"], list(port["leaves"])) for port in content["ports"]]
+        parameters = next(node for node in self.spec["node"] if node["name"] == name).get("parameters", {})
+        known = parameters if content["kind"] == "python" else {}
+        return Shape.of(known, inputs, (content["message"], list(content["leaves"])))
 
     def episodes(self, *recordings: str | os.PathLike[str]) -> Episodes:
         """The schedules of recordings of this graph."""
@@ -118,8 +329,8 @@ class Graph:
 
     def compile(
         self,
-        episodes: Episodes,
-        nodes: Mapping[str, Node] | None = None,
+        episodes: Episodes | DataFlow,
+        nodes: Mapping[str, Stepped] | None = None,
         *,
         trainable: Mapping[str, tuple[float, float] | tuple[float, float, str]] | None = None,
         keep: Sequence[str] = (),
@@ -130,23 +341,32 @@ class Graph:
     ) -> CompiledGraph:
         """The graph along these schedules, as pure functions.
 
-        `nodes` are written in JAX and take the place of the nodes of their names; all others run by their Rust
-        models. `trainable` makes connections' delays parameters between two bounds (s), by `"hold"` (the
-        default) or `"linear"` interpolation. Steps that no later step of the supervisor depends on are left
-        out, unless their node is named in `keep`. The outputs of nodes in `pinned` will be given to the
-        rollout: their steps need no inputs, and what only feeds them is left out. `partitioning` is
-        `"balanced"`, or `"ancestors"` as in the paper; `method` says how the slots are found: the minimum
-        common supergraph, or one of the paper's baselines. `output_delays` says how long steps take whose delay
-        follows from their output: as long as in the episodes (what was recorded, or what the graph expects), or
-        as long as the outputs say that are computed at run time.
+        They are drawn (`generate`), read from recordings (`episodes`), or what a recording became (`DataFlow`), whose
+        graph is then the one that is compiled. `nodes` are written in JAX and take the place of the nodes of their
+        names; those that the graph was made of need not be named, and all others run by their Rust models. `trainable`
+        makes connections' delays parameters between two bounds (s), by `"hold"` (the default) or `"linear"`
+        interpolation. Steps that no later step of the supervisor depends on are left out, unless their node is named in
+        `keep`. The outputs of nodes in `pinned` will be given to the rollout: their steps need no inputs, and what only
+        feeds them is left out. `partitioning` is `"balanced"`, or `"ancestors"` as in the paper; `method` says how the
+        slots are found: the minimum common supergraph, or one of the paper's baselines. `output_delays` says how long
+        steps take whose delay follows from their output: as long as in the episodes (what was recorded, or what the
+        graph expects), or as long as the outputs say that are computed at run time.
         """
-        given = dict(nodes or {})
+        given: dict[str, Stepped] = {**jax_nodes(self._members), **dict(nodes or {})}
+        if isinstance(episodes, DataFlow):
+            found = {**episodes.trainable, **dict(trainable or {})}
+            flow, episodes, trainable = episodes.graph, episodes.episodes, found
+            if flow is not self:
+                options: dict[str, Any] = {"keep": keep, "pinned": pinned, "partitioning": partitioning}
+                options |= {"method": method, "output_delays": output_delays, "trainable": trainable}
+                given = {name: node for name, node in given.items() if name in flow.nodes}
+                return flow.compile(episodes, given, **options)
         unknown = given.keys() - set(self.nodes)
         if unknown:
             raise ValueError(f"the graph has no nodes {sorted(unknown)}; it has {', '.join(self.nodes)}")
-        bound: list[tuple[str, Node]] = []
+        bound: list[tuple[str, Stepped]] = []
         for name in self.nodes:
-            node: Node | None = given[name] if name in given else self.model(name)
+            node: Stepped | None = given[name] if name in given else self.model(name)
             if node is None and name in pinned:
                 node = self._pinned(name)
             if node is None:

@@ -1,6 +1,6 @@
 """Nodes of a compiled graph: Rust models by their programs, and nodes that are written in JAX.
 
-A node that is written in JAX is any object with the four methods of `Node`. Its parameters, state and output are
+A node that is written in JAX is any object with the four methods of `Stepped`. Its parameters, state and output are
 pytrees of arrays; what it sends to a Rust model is a (nested) dictionary with the leaves of that model's message.
 """
 
@@ -17,7 +17,7 @@ from .program import Program
 from .trees import flat, nested
 from .types import Array, Floats, Scalar, Tree
 
-__all__ = ["Message", "ModelNode", "Node", "PinnedNode", "Port", "Step", "Window"]
+__all__ = ["Message", "ModelNode", "PinnedNode", "Port", "Step", "Stepped", "Window"]
 
 
 @dataclass(frozen=True)
@@ -138,8 +138,8 @@ class Step:
 
 
 @runtime_checkable
-class Node(Protocol):
-    """A node that is written in JAX. All methods are pure."""
+class Stepped(Protocol):
+    """What a compiled graph steps: a model of Rust, a `Node`, or any other object with its four methods."""
 
     def init_params(self, key: Array) -> Tree:
         """Constants that training or a fit may move."""

@@ -6,12 +6,16 @@ import json
 import os
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from . import _native
-from .types import Floats, Integers
+from .flow import DataFlow
+from .structure import Structure
+from .trees import nested
+from .types import Floats, Integers, Tree
 
 __all__ = ["NodeTrack", "PortTrack", "Recording", "Trajectory", "load", "trajectories"]
 
@@ -72,6 +76,8 @@ class NodeTrack:
     """When it ended, ns, `[step]`."""
     inputs: dict[str, PortTrack]
     """What the steps consumed, by port."""
+    structure: Structure | None = None
+    """What a message is, where a node in Python sends more than a dictionary of numbers."""
 
     @property
     def sent(self) -> Floats:
@@ -102,6 +108,31 @@ class NodeTrack:
         """A leaf of all messages, `[message]`."""
         return self.messages[leaf]
 
+    @cached_property
+    def tree(self) -> Tree:
+        """The messages as the node sent them, with a leading axis `[message]`: what a rollout takes as `pinned`.
+        Numbers that are recorded as they are (`float32` and `float64`) are `float64` views of `payload`."""
+        if self.structure is None:
+            return nested(self.leaves, [self.payload[:, place] for place in range(len(self.leaves))])
+        return self.structure.columns(self.payload, self.leaves)
+
+    def to_pandas(self) -> Any:
+        """The messages as a `pandas.DataFrame` with a column for each leaf, by when they were sent (s). It is a view of
+        `payload`. Needs the package `pandas`."""
+        import pandas
+
+        index = pandas.Index(self.sent, name="sent")
+        return pandas.DataFrame(self.payload, index=index, columns=list(self.leaves), copy=False)
+
+    def to_xarray(self) -> Any:
+        """The messages as an `xarray.Dataset` with a variable for each leaf along `sent` (s). They are views of
+        `payload`. Needs the package `xarray`."""
+        import xarray
+
+        coordinates = {"sent": ("sent", self.sent, {"units": "s"}), "seq": ("sent", self.seq)}
+        leaves = {leaf: ("sent", values) for leaf, values in self.messages.items()}
+        return xarray.Dataset(leaves, coords=coordinates, attrs={"node": self.name, "message": self.message})
+
 
 @dataclass(frozen=True)
 class Recording:
@@ -121,12 +152,25 @@ class Recording:
     """Nodes that ended before the run did; times in ns."""
     truncated: str | None
     """Where the file stops, when its end is missing."""
+    path: Path | None = None
+    """The file."""
+    kept: Any = None
+    """What keeps a temporary file for as long as somebody has the recording."""
 
     @cached_property
     def graph(self) -> dict[str, Any]:
         """The graph that ran: nodes, connections, supervisor."""
         content: dict[str, Any] = json.loads(self.graph_json)
         return content
+
+    def to_graph(self) -> DataFlow:
+        """What ran, as a computation graph, to be augmented and compiled."""
+        from .graph import Graph
+
+        if self.path is None:
+            raise ValueError("this recording is of no file; load() it from one")
+        graph = Graph(self.path)
+        return DataFlow(graph, graph.episodes(self.path), {})
 
     def __getitem__(self, node: str) -> NodeTrack:
         """What the node called `node` did."""
@@ -139,6 +183,7 @@ class Recording:
 def load(path: str | os.PathLike[str]) -> Recording:
     """Reads a recording (`.mcap`). Raises `ParallaxError` with the reason when it cannot."""
     content = _native.load(path)
+    described = {node["name"]: node.get("parameters", {}) for node in json.loads(content["graph"])["node"]}
     nodes = {}
     for node in content["nodes"]:
         inputs = {port["port"]: _port(port) for port in node["inputs"]}
@@ -156,6 +201,7 @@ def load(path: str | os.PathLike[str]) -> Recording:
             start_ns=node["start"],
             end_ns=node["end"],
             inputs=inputs,
+            structure=_structure(described.get(node["name"], {})),
         )
     return Recording(
         graph_json=content["graph"],
@@ -165,7 +211,13 @@ def load(path: str | os.PathLike[str]) -> Recording:
         losses=json.loads(content["losses"]),
         faults=json.loads(content["faults"]),
         truncated=content["truncated"],
+        path=Path(path),
     )
+
+
+def _structure(parameters: dict[str, Any]) -> Structure | None:
+    """What a node in Python says of its messages."""
+    return Structure(parameters["tree"]) if "tree" in parameters and "class" in parameters else None
 
 
 def _port(port: dict[str, Any]) -> PortTrack:

@@ -282,7 +282,10 @@ fn check_programs(
     for (_, (plan, settings)) in all.filter(|(node, _)| here(*node)) {
         let node = || plan.name.clone();
         match options.programs.get(&plan.name) {
-            None if plan.kind.is_external() => return Err(RunError::NoProgram { node: node() }),
+            // A thread is a node that this program itself knows how to build.
+            None if plan.kind.is_external() && settings.run_as == RunAs::Process => {
+                return Err(RunError::NoProgram { node: node() });
+            }
             Some(_) if settings.run_as == RunAs::Thread => {
                 return Err(RunError::ProgramNeedsProcess { node: node() });
             }

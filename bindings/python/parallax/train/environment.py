@@ -14,7 +14,7 @@ from jax import lax
 
 from ..compiled import CompiledGraph
 from ..graph import Episodes, Graph
-from ..nodes import Node, PinnedNode
+from ..nodes import PinnedNode, Stepped
 from ..state import GraphState, Observation
 from ..tables import Tables
 from ..types import Array, Tree
@@ -106,7 +106,7 @@ class GraphEnvironment:
         past_observations: int = 0,
         past_actions: int = 0,
         randomisation: Randomisation | None = None,
-        nodes: Mapping[str, Node] | None = None,
+        nodes: Mapping[str, Stepped] | None = None,
         trainable: Mapping[str, tuple[float, float] | tuple[float, float, str]] | None = None,
         spare: float = 2.0,
     ) -> None:

@@ -248,7 +248,16 @@ impl Stepper {
                     if orders.desk.any() {
                         self.attend(orders, now)?;
                     }
-                    self.step(clock, now, time)?;
+                    match self.step(clock, now, time) {
+                        // It is not gone for its receivers: the run is about to end for all.
+                        Err(StepError::Node { source: NodeError::Over, .. }) => {
+                            while !orders.stop.load(Ordering::Relaxed) && clock.now() < end {
+                                self.pause(PATIENCE);
+                            }
+                            return Ok(());
+                        }
+                        made => made?,
+                    }
                 }
                 Wait::Until(time) => {
                     let left = time - now - self.settings.spin;

@@ -1,0 +1,6 @@
+"""Other simulators as nodes of a graph: worlds that stand in for a machine, in real time and under the simulated
+clock."""
+
+from .mujoco import MujocoWorld
+
+__all__ = ["MujocoWorld"]
