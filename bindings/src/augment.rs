@@ -13,6 +13,9 @@ use crate::episodes::NativeEpisodes;
 use crate::error::raise;
 use crate::graph::{NativeGraph, with_python};
 
+/// The shortest and the longest delay, s, and how payloads follow.
+type Bounds = (f64, f64, String);
+
 /// What is to change about a recorded graph, as Python writes it.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -23,7 +26,7 @@ struct Changes {
     /// Nodes that step on a grid of their own, from these phases (s) on.
     nodes: Vec<(NodeSpec, f64)>,
     /// Connections; those with bounds have a delay that is found by training.
-    connections: Vec<(ConnectionSpec, Option<(f64, f64, String)>)>,
+    connections: Vec<(ConnectionSpec, Option<Bounds>)>,
 }
 
 #[pymethods]
