@@ -20,13 +20,19 @@ class Brake(px.Node):
         """The gain."""
         return {"gain": jnp.asarray(self.gain)}
 
-    def init_output(self, key: jax.Array, params: dict[str, jax.Array], state: None) -> dict[str, jax.Array]:
+    def init_output(
+        self, key: jax.Array, params: dict[str, jax.Array], state: None
+    ) -> dict[str, jax.Array]:
         """No voltage."""
         return {"voltage": jnp.asarray(0.0)}
 
-    def step(self, params: dict[str, jax.Array], state: None, step: px.Step) -> tuple[None, dict[str, jax.Array]]:
+    def step(
+        self, params: dict[str, jax.Array], state: None, step: px.Step
+    ) -> tuple[None, dict[str, jax.Array]]:
         """The voltage for the newest estimate."""
-        return state, {"voltage": -params["gain"] * step["estimator"].latest.message["speed"]}
+        return state, {
+            "voltage": -params["gain"] * step["estimator"].latest.message["speed"]
+        }
 
 
 class Swing:

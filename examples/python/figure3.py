@@ -85,7 +85,12 @@ class Pendulum(px.Node):
         voltage, dt, p = step["motor"].latest.message["voltage"], 0.01, params
 
         def slope(x: jax.Array) -> jax.Array:
-            force = p["K"] * voltage / p["R"] - p["K"] ** 2 * x[1] / p["R"] + p["mgl"] * jnp.sin(x[0]) - p["b"] * x[1]
+            force = (
+                p["K"] * voltage / p["R"]
+                - p["K"] ** 2 * x[1] / p["R"]
+                + p["mgl"] * jnp.sin(x[0])
+                - p["b"] * x[1]
+            )
             return jnp.stack([x[1], force / p["J"]])
 
         x = jnp.stack([state["angle"], state["speed"]])
@@ -148,10 +153,14 @@ def main() -> None:
     record = graph.get_record()
     late = 1e3 * (record["agent"].end - record["agent"].start)
     print(f"wall clock: {record}, a step of the agent took {late.mean():.3f} ms")
-    print(f"  pictures {record['cam'].tree['mass'].shape}, the last one number {record['cam'].tree['picture'][-1]}")
+    print(
+        f"  pictures {record['cam'].tree['mass'].shape}, the last one number {record['cam'].tree['picture'][-1]}"
+    )
 
     agent, nodes = simulated_nodes()
-    graph = px.Graph(agent, nodes, clock=px.SIMULATED, real_time_factor=px.FAST_AS_POSSIBLE)
+    graph = px.Graph(
+        agent, nodes, clock=px.SIMULATED, real_time_factor=px.FAST_AS_POSSIBLE
+    )
     graph.warmup()
     state = graph.init(seed=1)
     for _ in range(arguments.steps):
@@ -162,7 +171,13 @@ def main() -> None:
 
     compiled = graph.compile(record.to_graph().augment(nodes))
     states = jax.vmap(compiled.init)(jax.random.split(jax.random.key(0), 1000))
-    rollout = jax.jit(jax.vmap(lambda state: compiled.rollout(state, record=lambda now: now.state["world"]["angle"])))
+    rollout = jax.jit(
+        jax.vmap(
+            lambda state: compiled.rollout(
+                state, record=lambda now: now.state["world"]["angle"]
+            )
+        )
+    )
     _, angles = rollout(states)
     print(f"compiled: {compiled}, angles {angles.shape}")
 

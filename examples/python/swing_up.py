@@ -52,7 +52,9 @@ def main() -> None:
         folder=options.out,
         resume=options.resume,
     )
-    print(f"{training.steps_per_second:,.0f} steps a second; the log, the curves and the policies are in {options.out}")
+    print(
+        f"{training.steps_per_second:,.0f} steps a second; the log, the curves and the policies are in {options.out}"
+    )
 
     # The policy's node in Rust in the agent's place.
     spec = px.Graph("pendulum-simulated").spec
@@ -66,11 +68,15 @@ def main() -> None:
             edge["port"] = "observation"
     recording = px.Graph(spec).simulate(options.out / "run.mcap", 10.0, seed=1)
     world = recording["world"]
-    angle, speed = (world.payload[:, world.leaves.index(leaf)] for leaf in ("angle", "speed"))
+    angle, speed = (
+        world.payload[:, world.leaves.index(leaf)] for leaf in ("angle", "speed")
+    )
     upright = (np.cos(angle) > np.cos(np.radians(10))) & (np.abs(speed) < 0.5)
     if upright.any():
         first = int(np.argmax(upright))
-        print(f"upright after {world.sent[first]:.1f} s, and {upright[first:].mean():.1%} of the time from then on")
+        print(
+            f"upright after {world.sent[first]:.1f} s, and {upright[first:].mean():.1%} of the time from then on"
+        )
     else:
         print("it never stood upright: train longer")
 
