@@ -56,10 +56,10 @@ def assembled(
     homeless: dict[str, str] = {}
     specs = []
     for node in nodes.values():
-        spec = node.spec()
+        spec = node.graph_spec()
         if not isinstance(node, RustNode):
             try:
-                spec["parameters"] = node.place()
+                spec["parameters"] = node.graph_place()
             except TypeError as error:
                 homeless[node.name] = str(error)
             structure = structures.get(node.name)

@@ -311,7 +311,7 @@ class Graph:
             here = name in self._here(clock)
             if name not in self._steps and (here or trace):
                 device = self._devices.get(name) if here else None
-                self._steps[name] = JaxStep(self._members[name].again(), name, self._shape(name), own, device)
+                self._steps[name] = JaxStep(self._members[name].graph_copy(), name, self._shape(name), own, device)
             if here:
                 self._steps[name].compiled()
 

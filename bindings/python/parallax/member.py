@@ -82,14 +82,14 @@ class _Settings:
 class Member:
     """A node of a graph: `Node`, `PlainNode` or `RustNode`."""
 
-    _settings: _Settings
-    _call: _Call
+    _graph_settings: _Settings
+    _graph_call: _Call
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Any:
         """Remembers how it was made, and has settings even if its class does not call `super().__init__`."""
         self = super().__new__(cls)
-        object.__setattr__(self, "_call", _Call(args, kwargs))
-        object.__setattr__(self, "_settings", _Settings())
+        object.__setattr__(self, "_graph_call", _Call(args, kwargs))
+        object.__setattr__(self, "_graph_settings", _Settings())
         return self
 
     def __init__(
@@ -112,30 +112,30 @@ class Member:
         """
         if rate is not None and not rate > 0:
             raise ValueError(f"node {name or type(self).__name__}: a rate of {rate} Hz is not possible")
-        kept = self._settings.connections
-        object.__setattr__(self, "_settings", _Settings(name, rate, delay, advance, scheduling, core, safe, kept))
+        kept = self._graph_settings.connections
+        object.__setattr__(self, "_graph_settings", _Settings(name, rate, delay, advance, scheduling, core, safe, kept))
         if not _NAME.fullmatch(self.name):
             raise ValueError(f"`{self.name}` cannot name a node: letters, digits and underscores, a letter first")
 
     @property
     def name(self) -> str:
         """Its name, unique in a graph."""
-        return self._settings.name or self._own_name()
+        return self._graph_settings.name or self._graph_name()
 
     @property
     def rate(self) -> float:
         """Steps a second."""
-        if self._settings.rate is None:
+        if self._graph_settings.rate is None:
             raise ValueError(
                 f"node {self.name} has no rate: give one, {type(self).__name__}(rate=50.0), and pass what is not the "
                 "class's own on to super().__init__"
             )
-        return self._settings.rate
+        return self._graph_settings.rate
 
     @property
     def connections(self) -> tuple[Connection, ...]:
         """What feeds it, in the order of `connect`."""
-        return tuple(self._settings.connections)
+        return tuple(self._graph_settings.connections)
 
     def connect(
         self,
@@ -161,18 +161,18 @@ class Member:
         if window < 1:
             raise ValueError(f"a window of {window} messages from {sender.name} to {self.name}: it has one at least")
         port = name or sender.name
-        if any(connection.port == port for connection in self._settings.connections):
+        if any(connection.port == port for connection in self._graph_settings.connections):
             raise ValueError(f"the input {port} of node {self.name} is fed already; give this one another name")
-        self._settings.connections.append(Connection(sender, port, block, window, skip, delay, jitter))
+        self._graph_settings.connections.append(Connection(sender, port, block, window, skip, delay, jitter))
 
-    def spec(self) -> dict[str, Any]:
+    def graph_spec(self) -> dict[str, Any]:
         """The node as a `graph.toml` has it; its messages stand in the graph."""
-        own = self._settings
+        own = self._graph_settings
         made: dict[str, Any] = {
             "name": self.name,
-            "kind": self._kind(),
+            "kind": self._graph_kind(),
             "rate": float(self.rate),
-            "parameters": self._parameters(),
+            "parameters": self._graph_parameters(),
             "computation": delay_of(own.delay, f"the delay of node {self.name}"),
             "advance": own.advance,
             "scheduling": own.scheduling,
@@ -183,27 +183,27 @@ class Member:
             made | ({} if own.core is None else {"core": own.core}) | ({} if own.safe is None else {"safe": own.safe})
         )
 
-    def again(self) -> Any:
+    def graph_copy(self) -> Any:
         """A node made as this one was, without its connections."""
-        return type(self)(*self._call.args, **self._call.kwargs)
+        return type(self)(*self._graph_call.args, **self._graph_call.kwargs)
 
-    def _own_name(self) -> str:
+    def _graph_name(self) -> str:
         return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", type(self).__name__).lower()
 
-    def _kind(self) -> str:
+    def _graph_kind(self) -> str:
         return "python"
 
-    def _parameters(self) -> dict[str, Any]:
+    def _graph_parameters(self) -> dict[str, Any]:
         """The class, and the arguments with which another process makes such a node."""
         return {"class": type(self).__qualname__, "arguments": {}}
 
-    def place(self) -> dict[str, Any]:
+    def graph_place(self) -> dict[str, Any]:
         """Where another process finds its class, and with which arguments it makes such a node.
 
         Raises `TypeError` when it cannot: a class in a notebook or a function, or an argument that is no JSON.
         """
         signature = inspect.signature(type(self).__init__)
-        bound = signature.bind(self, *self._call.args, **self._call.kwargs)
+        bound = signature.bind(self, *self._graph_call.args, **self._graph_call.kwargs)
         own = inspect.signature(Member.__init__).parameters
         arguments: dict[str, Any] = {}
         for name, value in list(bound.arguments.items())[1:]:
@@ -298,11 +298,11 @@ class RustNode(Member):
         """The kind's own parameters."""
         super().__init__(**settings)
 
-    def _own_name(self) -> str:
+    def _graph_name(self) -> str:
         return self.kind.rsplit("/", 1)[-1].replace("-", "_")
 
-    def _kind(self) -> str:
+    def _graph_kind(self) -> str:
         return self.kind
 
-    def _parameters(self) -> dict[str, Any]:
+    def _graph_parameters(self) -> dict[str, Any]:
         return self.parameters

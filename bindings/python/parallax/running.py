@@ -232,7 +232,7 @@ class Session:
                 self.steppers[name] = build(name, rate, seed, parameters, inputs, output)
             else:
                 shape = Shape.of(json.loads(parameters), inputs, output)
-                self.steppers[name] = stepper_of(member.again(), name, seed, shape, self.start.get(name))
+                self.steppers[name] = stepper_of(member.graph_copy(), name, seed, shape, self.start.get(name))
         return self.steppers[name]
 
     def _finish(self) -> None:
