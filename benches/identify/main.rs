@@ -9,6 +9,7 @@
 //! the identification. `docs/identification.md` says what is measured.
 
 mod pendulum;
+mod quadrotor;
 mod truth;
 
 use std::ops::ControlFlow;
@@ -19,7 +20,7 @@ use parallax_model::fit::CmaOptions;
 use parallax_sim::identify::{Identified, Method, Problem, search};
 use serde_json::{Value, json};
 
-use truth::{Truth, share};
+use truth::{Truth, delay, share};
 
 /// Identification against machines that it cannot look into.
 #[derive(Parser)]
@@ -30,9 +31,12 @@ struct Options {
     /// Seed of the machines [default: the clock].
     #[arg(long)]
     seed: Option<u64>,
-    /// Only this part: time or pendulum.
+    /// Only this part: time, pendulum, quadrotor or jitter.
     #[arg(long)]
     only: Option<String>,
+    /// Settings of the default solver, as JSON.
+    #[arg(long, default_value = "{}")]
+    solver: String,
     /// Writes all figures to this file.
     #[arg(long)]
     json: Option<std::path::PathBuf>,
@@ -54,7 +58,17 @@ fn main() -> anyhow::Result<()> {
         figures["time"] = times(seed)?;
     }
     if wanted("pendulum") {
-        figures["pendulum"] = quality(options.truths, seed)?;
+        let method = Method::Hybrid(serde_json::from_str(&options.solver)?);
+        figures["pendulum"] = quality("pendulum", pendulum::truth, options.truths, seed, &method)?;
+    }
+    if wanted("quadrotor") {
+        let method = Method::Hybrid(serde_json::from_str(&options.solver)?);
+        figures["quadrotor"] = quality("quadrotor", quadrotor::truth, options.truths, seed, &method)?;
+    }
+    if wanted("jitter") {
+        let method = Method::Hybrid(serde_json::from_str(&options.solver)?);
+        let truth = pendulum::truth_with_a_camera_that_jitters;
+        figures["jitter"] = quality("jitter", truth, options.truths, seed, &method)?;
     }
     if let Some(path) = &options.json {
         std::fs::write(path, serde_json::to_string_pretty(&figures)?)?;
@@ -69,37 +83,56 @@ fn timed(problem: &Problem, method: &Method) -> anyhow::Result<(Identified, Dura
     Ok((found, start.elapsed()))
 }
 
-/// The paper's search for the pendulum at its size (section 4.3, appendix E): CMA-ES alone over all parameters.
+/// The paper's searches at their size (section 4.3, appendix E): CMA-ES alone over all parameters.
 fn times(seed: u64) -> anyhow::Result<Value> {
-    let method = CmaOptions {
+    let common = CmaOptions {
         population: Some(200),
         parents: Some(20),
-        generations: 38,
         sigma: 0.4,
+        single: true,
+        ..CmaOptions::default()
+    };
+    let pendulum = CmaOptions {
+        generations: 38,
         path_rate: Some(0.40),
         covariance_path_rate: Some(0.14),
         rank_one_rate: Some(0.0024),
         rank_mu_rate: Some(0.038),
         damping: Some(1.40),
-        ..CmaOptions::default()
+        ..common.clone()
     };
-    let Truth { recording, registry, specification, floor, .. } =
-        pendulum::truth_with_every_parameter_searched(seed)?;
+    let quadrotor = CmaOptions {
+        generations: 31,
+        path_rate: Some(0.65),
+        covariance_path_rate: Some(0.68),
+        rank_one_rate: Some(0.19),
+        rank_mu_rate: Some(0.27),
+        damping: Some(2.41),
+        ..common
+    };
+    Ok(json!({
+        "pendulum": time("pendulum", pendulum::truth_with_every_parameter_searched(seed)?, pendulum)?,
+        "quadrotor": time("quadrotor", quadrotor::truth(seed)?, quadrotor)?,
+    }))
+}
+
+fn time(name: &str, truth: Truth, options: CmaOptions) -> anyhow::Result<Value> {
+    let Truth { recording, registry, specification, floor, .. } = truth;
     let start = Instant::now();
     let problem = Problem::new(&[recording], &registry, &specification)?;
     let build = start.elapsed();
     let mut seconds: Vec<f64> = Vec::new();
     let (mut rollouts, mut of_floor) = (0, f64::NAN);
     for _ in 0..7 {
-        let (found, time) = timed(&problem, &Method::CmaEs(method.clone()))?;
+        let (found, time) = timed(&problem, &Method::CmaEs(options.clone()))?;
         seconds.push(time.as_secs_f64());
         (rollouts, of_floor) = (found.rollouts, share(&found, &floor));
     }
     seconds.sort_by(f64::total_cmp);
     let parameters = problem.names().count();
     println!(
-        "pendulum: CMA-ES at the paper's size, {parameters} parameters, {rollouts} rollouts: {:.3} s ({:.3} to {:.3}), \
-         ends at {of_floor:.2} of the floor; tables {:.3} s",
+        "{name}: CMA-ES at the paper's size, {parameters} parameters, {rollouts} rollouts: {:.3} s ({:.3} to {:.3}), ends at \
+         {of_floor:.2} of the floor; tables {:.3} s",
         seconds[3],
         seconds[0],
         seconds[6],
@@ -112,26 +145,33 @@ fn times(seed: u64) -> anyhow::Result<Value> {
 }
 
 /// The default solver on machines drawn at random.
-fn quality(truths: usize, seed: u64) -> anyhow::Result<Value> {
+fn quality(
+    name: &str,
+    truth: impl Fn(u64) -> anyhow::Result<Truth>,
+    truths: usize,
+    seed: u64,
+    method: &Method,
+) -> anyhow::Result<Value> {
     let mut cases = Vec::new();
     let (mut reached, mut quick) = (0, 0);
     let mut seconds = Vec::new();
     let (mut told, mut covered) = (0, 0);
+    let (mut spread, mut spread_covered, mut spread_worst) = (0, 0, 0.0f64);
     let mut worst: f64 = 0.0;
     for index in 0..truths as u64 {
         let seed = seed.wrapping_add(index.wrapping_mul(0x9E37_79B9_7F4A_7C15));
-        let Truth { recording, registry, specification, floor, delays } = pendulum::truth(seed)?;
+        let Truth { recording, registry, specification, floor, delays, spreads } = truth(seed)?;
         let start = Instant::now();
         let problem = Problem::new(&[recording], &registry, &specification)?;
         let build = start.elapsed();
-        let (found, time) = timed(&problem, &Method::default())?;
+        let (found, time) = timed(&problem, method)?;
         let ratio = share(&found, &floor);
         reached += usize::from(ratio <= 1.05);
         quick += usize::from(time.as_secs_f64() <= 0.2);
         seconds.push(time.as_secs_f64());
         let mut errors = Vec::new();
         for (combination, value) in &delays {
-            let (estimate, std) = truth::delay(&found, combination);
+            let (estimate, std) = delay(&found, combination);
             let Some(std) = std else {
                 errors.push(json!({ "delay": combination.join(" + "), "determined": false }));
                 continue;
@@ -142,8 +182,17 @@ fn quality(truths: usize, seed: u64) -> anyhow::Result<Value> {
             worst = worst.max(error.abs());
             errors.push(json!({ "delay": combination.join(" + "), "error": error, "std": std }));
         }
+        for (name, value) in &spreads {
+            let Some(estimate) = found.estimate(name) else { continue };
+            spread += 1;
+            let [low, high] = estimate.interval;
+            spread_covered += usize::from(low <= *value && *value <= high);
+            let (error, std) = (estimate.value - value, estimate.std);
+            spread_worst = spread_worst.max(error.abs());
+            errors.push(json!({ "delay": name, "error": error, "std": std, "truth": value }));
+        }
         println!(
-            "pendulum {index:2}: {ratio:.3} of the floor, {:.3} s, {} rollouts, {:?}, delays {}",
+            "{name} {index:2}: {ratio:.3} of the floor, {:.3} s, {} rollouts, {:?}, delays {}",
             time.as_secs_f64(),
             found.rollouts,
             found.stop,
@@ -165,12 +214,19 @@ fn quality(truths: usize, seed: u64) -> anyhow::Result<Value> {
     seconds.sort_by(f64::total_cmp);
     let middle = seconds[seconds.len() / 2];
     println!(
-        "pendulum: {reached} of {truths} within 5 % of the noise floor; {quick} in at most 0.2 s, median {middle:.3} s, \
+        "{name}: {reached} of {truths} within 5 % of the noise floor; {quick} in at most 0.2 s, median {middle:.3} s, \
          most {:.3} s; {told} delays determined, worst error {:.3} ms, {covered} within their 95 % intervals",
         seconds[seconds.len() - 1],
         1e3 * worst
     );
+    if spread > 0 {
+        println!(
+            "{name}: {spread} spreads, worst error {:.3} ms, {spread_covered} within their 95 % intervals",
+            1e3 * spread_worst
+        );
+    }
     Ok(json!({
+        "spreads": spread, "spreads_covered": spread_covered, "worst_spread_error_s": spread_worst,
         "truths": truths, "within_5_percent": reached, "within_0.2_s": quick, "seconds": seconds,
         "delays_determined": told, "delays_covered": covered, "worst_delay_error_s": worst, "cases": cases,
     }))

@@ -11,12 +11,12 @@ use parallax_runtime::registry::{NodeKind, Registry};
 use parallax_runtime::time::from_seconds;
 use parallax_sim::Executor;
 use parallax_sim::identify::{
-    HiddenDelay, Output, Simulated, Specification, Target, Term, Transform, Unknown,
+    HiddenDelay, Output, Scatter, Simulated, Specification, Target, Term, Transform, Unknown,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::truth::{Truth, send, sent, starts};
+use super::truth::{Truth, normal, send, sent, starts};
 
 /// The control's rate, Hz, and how long it runs, s: 1,050 steps.
 const RATE: f64 = 50.0;
@@ -121,15 +121,20 @@ impl Machine {
 
 /// The default question: what enters the picture linearly is solved for.
 pub(crate) fn truth(seed: u64) -> anyhow::Result<Truth> {
-    machine(seed, false)
+    machine(seed, false, false)
+}
+
+/// The default question where every picture is late by another time: around one mean, or around two.
+pub(crate) fn truth_with_a_camera_that_jitters(seed: u64) -> anyhow::Result<Truth> {
+    machine(seed, false, true)
 }
 
 /// The paper's question: every one of the 27 parameters is searched.
 pub(crate) fn truth_with_every_parameter_searched(seed: u64) -> anyhow::Result<Truth> {
-    machine(seed, true)
+    machine(seed, true, false)
 }
 
-fn machine(seed: u64, search_everything: bool) -> anyhow::Result<Truth> {
+fn machine(seed: u64, search_everything: bool, jitters: bool) -> anyhow::Result<Truth> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut around =
         |value: f64, factor: f64| value * (random.random_range(-1.0..1.0f64) * factor.ln()).exp();
@@ -171,9 +176,21 @@ fn machine(seed: u64, search_everything: bool) -> anyhow::Result<Truth> {
     send(&mut recording, "motor", |k| vec![volts(k)]);
     let commands: Vec<(f64, f64)> =
         sent(&recording, "motor").into_iter().map(|(sent, payload)| (sent + actuator, payload[0])).collect();
-    let times: Vec<f64> =
-        starts(&recording, "camera").into_iter().map(|start| (start - sensor).max(0.0)).collect();
-    let angles = machine.angles(first, &commands, &times);
+    let (seen, sensor, spread) = match jitters {
+        true => late(&mut random, starts(&recording, "camera").len()),
+        false => (Vec::new(), sensor, 0.0),
+    };
+    let starts = starts(&recording, "camera").into_iter().enumerate();
+    let times = starts.map(|(k, start)| (start - seen.get(k).unwrap_or(&sensor)).max(0.0));
+    let times: Vec<f64> = times.collect();
+    // A picture may show an earlier moment than the one before it.
+    let mut order: Vec<usize> = (0..times.len()).collect();
+    order.sort_by(|&a, &b| times[a].total_cmp(&times[b]));
+    let rising: Vec<f64> = order.iter().map(|&k| times[k]).collect();
+    let mut angles = vec![0.0; times.len()];
+    for (k, angle) in order.into_iter().zip(machine.angles(first, &commands, &rising)) {
+        angles[k] = angle;
+    }
     let mut square = [0.0, 0.0];
     let pixels: Vec<Vec<f64>> = angles
         .iter()
@@ -194,20 +211,30 @@ fn machine(seed: u64, search_everything: bool) -> anyhow::Result<Truth> {
     Ok(Truth {
         recording,
         registry: registry(),
-        specification: specification(search_everything),
+        specification: specification(search_everything, jitters),
         floor,
         // Open loop, a constant delay before the machine and one after it are seen as their sum.
         delays: vec![(vec!["actuator", "sensor"], actuator + sensor)],
+        spreads: if jitters { vec![("sensor.spread", spread)] } else { Vec::new() },
     })
 }
 
-fn normal(random: &mut ChaCha8Rng) -> f64 {
-    let (u, v): (f64, f64) = (random.random_range(f64::MIN_POSITIVE..1.0), random.random_range(0.0..TAU));
-    (-2.0 * u.ln()).sqrt() * v.cos()
+/// How late each picture is, with the mean and the standard deviation of that: one hump or two.
+fn late(random: &mut ChaCha8Rng, count: usize) -> (Vec<f64>, f64, f64) {
+    let (mean, spread) = (random.random_range(0.015..0.035), random.random_range(0.001..0.004));
+    let second = if random.random::<bool>() { random.random_range(0.004..0.012) } else { 0.0 };
+    let share: f64 = random.random_range(0.2..0.5);
+    let mut delays = Vec::with_capacity(count);
+    for _ in 0..count {
+        let hump = if random.random_range(0.0..1.0) < share { second } else { 0.0 };
+        delays.push((mean + hump + spread * normal(random)).max(0.0));
+    }
+    let variance = spread * spread + share * (1.0 - share) * second * second;
+    (delays, mean + share * second, variance.sqrt())
 }
 
 /// Of nothing more is known than a data sheet says: each constant to a factor of two.
-fn specification(search_everything: bool) -> Specification {
+fn specification(search_everything: bool, jitters: bool) -> Specification {
     let parameter = |leaf: &str, low: f64, high: f64| Unknown {
         name: leaf.rsplit('.').next().unwrap_or(leaf).to_owned(),
         targets: vec![Target::Parameter { node: "world".into(), leaf: leaf.into() }],
@@ -288,6 +315,7 @@ fn specification(search_everything: bool) -> Specification {
         start: None,
         prior: None,
         interpolation: None,
+        scatter: None,
         window: None,
     };
     Specification {
@@ -306,7 +334,10 @@ fn specification(search_everything: bool) -> Specification {
             },
         ],
         unknowns,
-        delays: vec![delay("actuator", "motor", "world"), delay("sensor", "world", "camera")],
+        delays: vec![
+            delay("actuator", "motor", "world"),
+            HiddenDelay { scatter: jitters.then_some(Scatter::Normal), ..delay("sensor", "world", "camera") },
+        ],
         outputs: outputs.to_vec(),
         hold_out: 0.0,
         ..Specification::default()

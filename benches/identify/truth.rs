@@ -1,10 +1,14 @@
 //! What both machines share: how a recording is made of a schedule and of what the machine does, and how an answer is
 //! held against the truth.
 
+use std::f64::consts::TAU;
+
 use parallax_runtime::recording::{MessageRecord, Recording};
 use parallax_runtime::registry::Registry;
 use parallax_runtime::time::to_seconds;
 use parallax_sim::identify::{Identified, Specification};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
 
 /// A machine's recording, what is asked of it, and what nobody else knows.
 pub(crate) struct Truth {
@@ -15,6 +19,8 @@ pub(crate) struct Truth {
     pub(crate) floor: Vec<f64>,
     /// Sums of delays that the data can determine, by their names, with their true values, s.
     pub(crate) delays: Vec<(Vec<&'static str>, f64)>,
+    /// Standard deviations of the delays that are another one for every message, s.
+    pub(crate) spreads: Vec<(&'static str, f64)>,
 }
 
 /// How far the errors of all outputs are from the noise, root mean square in units of it.
@@ -59,4 +65,10 @@ pub(crate) fn sent(recording: &Recording, node: &str) -> Vec<(f64, Vec<f64>)> {
 pub(crate) fn starts(recording: &Recording, node: &str) -> Vec<f64> {
     let track = recording.node(node).expect("a node of the graph");
     track.steps.iter().map(|step| to_seconds(step.start)).collect()
+}
+
+/// A standard normal number.
+pub(crate) fn normal(random: &mut ChaCha8Rng) -> f64 {
+    let (u, v): (f64, f64) = (random.random_range(f64::MIN_POSITIVE..1.0), random.random_range(0.0..TAU));
+    (-2.0 * u.ln()).sqrt() * v.cos()
 }

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use parallax_model::node_model::PortShape;
-use parallax_nodes::{GRAPHS, registry};
+use parallax_nodes::{GRAPHS, estimator, registry};
 use parallax_runtime::graph::{Graph, GraphSpec};
 use parallax_runtime::node::{Layout, NodeError};
 use parallax_runtime::recording::Recording;
@@ -31,14 +31,17 @@ pub(crate) struct NativeGraph {
 
 #[pymethods]
 impl NativeGraph {
-    /// From the text of a graph, `toml` or `json`; `kinds` are those of nodes written in Python.
+    /// From the text of a graph, `toml` or `json`; `kinds` are those of nodes written in Python. The files that nodes name
+    /// are relative to `folder`, and become part of the graph.
     #[new]
-    fn new(text: &str, format: &str, kinds: Vec<PythonKind>) -> PyResult<Self> {
+    fn new(text: &str, format: &str, kinds: Vec<PythonKind>, folder: PathBuf) -> PyResult<Self> {
         let spec = match format {
             "toml" => GraphSpec::from_toml(text),
             _ => GraphSpec::from_json(text),
         };
-        Self::checked(&spec.map_err(raise)?, kinds, 0)
+        let mut spec = spec.map_err(raise)?;
+        estimator::embed(&mut spec, &folder).map_err(raise)?;
+        Self::checked(&spec, kinds, 0)
     }
 
     /// The graph that is attached to a recording.

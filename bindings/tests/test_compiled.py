@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -198,3 +201,20 @@ def test_what_does_not_fit_is_named(graph):
     demo = px.Graph("pendulum")
     with pytest.raises(ValueError, match="node `world` is no model"):
         demo.compile(demo.generate(1.0))
+
+
+def test_files_that_nodes_name_become_part_of_the_graph(tmp_path, monkeypatch):
+    source = Path(__file__).parents[2] / "examples" / "compensation"
+    folder = shutil.copytree(source, tmp_path / "graphs")
+    monkeypatch.chdir(tmp_path)
+    graph = px.Graph(folder / "graph.toml")
+    shutil.rmtree(folder)
+    estimator = next(node for node in graph.spec["node"] if node["name"] == "estimator")
+    assert "derivative" in estimator["parameters"]["equations"]
+    # What holds everything needs the file no more, and compiles to the same numbers.
+    again = px.Graph(graph.spec)
+    assert again.toml() == graph.toml() == px.Graph(graph.toml()).toml()
+    assert again.model("estimator") is not None
+    lost = {**graph.spec, "node": [{**estimator, "parameters": {"system": "gone.toml"}}], "connection": []}
+    with pytest.raises(ValueError, match=r"gone\.toml"):
+        px.Graph(lost)

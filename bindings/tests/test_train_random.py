@@ -49,17 +49,17 @@ def test_parameters_and_hidden_delays_are_drawn_for_every_episode():
     assert np.ptp(params["world"]["pendulum"]["length"]) == 0.0
 
 
-SPEC = """
-format = 1
-[parameters]
-"world.pendulum.inertia" = { low = 1e-4, high = 3e-4, name = "J", also = ["other.inertia"] }
-"world.pendulum.motor" = { low = 0.02, high = 0.05, name = "K" }
-"world.pendulum.mass" = { low = 0.01, high = 0.1 }
-"""
-
-
-def estimate(name, value, bounds):
-    return {"name": name, "sort": "parameter", "value": value, "std": None, "bounds": bounds, "unit": ""}
+def estimate(name, value, bounds, *places):
+    spots = [dict(zip(("node", "parameter"), place.split(".", 1), strict=True)) for place in places]
+    return {
+        "name": name,
+        "sort": "parameter",
+        "places": spots,
+        "value": value,
+        "std": None,
+        "bounds": bounds,
+        "unit": "",
+    }
 
 
 def test_what_belongs_together_is_drawn_together(tmp_path):
@@ -70,15 +70,14 @@ def test_what_belongs_together_is_drawn_together(tmp_path):
     covariance = scaled * np.outer(widths, widths)
     found = {
         "estimates": [
-            estimate("J", 2e-4, [1e-4, 3e-4]),
-            estimate("K", 0.035, [0.02, 0.05]),
-            estimate("world.pendulum.mass", 0.05, [0.01, 0.1]),
+            estimate("J", 2e-4, [1e-4, 3e-4], "world.pendulum.inertia", "other.inertia"),
+            estimate("K", 0.035, [0.02, 0.05], "world.pendulum.motor"),
+            estimate("m", 0.05, [0.01, 0.1], "world.pendulum.mass"),
         ],
         "covariance": covariance.ravel().tolist(),
     }
     (tmp_path / "identified.json").write_text(json.dumps(found))
-    (tmp_path / "identify.toml").write_text(SPEC)
-    randomisation = pt.Randomisation.identified(tmp_path, tmp_path / "identify.toml")
+    randomisation = pt.Randomisation.identified(tmp_path)
     assert set(randomisation.places) == {
         "world.pendulum.inertia",
         "other.inertia",
@@ -93,7 +92,7 @@ def test_what_belongs_together_is_drawn_together(tmp_path):
     assert np.std(along[:2] @ z) < 1e-3
     assert abs(np.std(across[:2] @ z) / 1e-2 - 1) < 0.1
     assert abs(np.std(sample["world.pendulum.mass"]) / (1e-2 * widths[2]) - 1) < 0.1
-    only = pt.Randomisation.identified(tmp_path, tmp_path / "identify.toml", nodes=["other"])
+    only = pt.Randomisation.identified(tmp_path, nodes=["other"])
     assert only.places == ["other.inertia"]
 
 

@@ -238,14 +238,15 @@ fn a_fit_that_is_written_down_and_taken_up_again_ends_at_the_same_bits() {
     let run = |solver: &mut Hybrid, questions: usize| {
         for _ in 0..questions {
             match solver.ask() {
-                Ask::Losses { points, share } => {
-                    let losses = points.iter().map(|x| local::<3>(x, sine(share)).cost).collect();
+                Ask::Losses { points, view, .. } => {
+                    let losses = points.iter().map(|x| local::<3>(x, sine(view.share)).cost).collect();
                     solver.tell(Tell::Losses(losses));
                 }
-                Ask::Locals { points, share } => {
-                    let locals = points.iter().map(|x| local::<3>(x, sine(share))).collect();
+                Ask::Locals { points, view } => {
+                    let locals = points.iter().map(|x| local::<3>(x, sine(view.share))).collect();
                     solver.tell(Tell::Locals(locals));
                 }
+                Ask::States { .. } => panic!("it is not cut"),
                 Ask::Done(_) => break,
             }
         }

@@ -16,6 +16,7 @@ pub mod command_file;
 pub mod dynamixel;
 pub mod equations;
 pub mod estimator;
+mod line;
 pub mod models;
 pub mod pendulum;
 pub mod pid;

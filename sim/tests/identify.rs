@@ -2,13 +2,13 @@
 
 use std::ops::ControlFlow;
 
-use parallax_model::fit::{HybridOptions, MarquardtOptions};
+use parallax_model::fit::{HybridOptions, MarquardtOptions, View};
 use parallax_nodes::{pendulum, registry};
 use parallax_runtime::recording::Recording;
 use parallax_sim::Executor;
 use parallax_sim::identify::{
-    Checkpoint, Evaluator, HiddenDelay, IdentifyError, Method, Output, Problem, Simulated, Specification,
-    Target, Unknown, identify, search,
+    Checkpoint, Evaluator, HiddenDelay, IdentifyError, Method, Output, Problem, Scatter, Simulated,
+    Specification, Target, Unknown, identify, search,
 };
 
 fn unknown(name: &str, node: &str, leaf: &str, low: f64, high: f64) -> Unknown {
@@ -42,6 +42,7 @@ fn hidden(name: &str, from: &str, to: &str, max: Option<f64>) -> HiddenDelay {
         start: None,
         prior: None,
         interpolation: None,
+        scatter: None,
         window: None,
     }
 }
@@ -96,8 +97,10 @@ fn exact_derivatives_are_those_of_the_losses_and_differences_agree() {
     let evaluator = Evaluator::new(&problem).unwrap();
     let point = vec![0.45, 0.55, 0.5, 0.52, 0.31, 0.27];
     let exact = &evaluator.exact_locals(std::slice::from_ref(&point), 1.0).unwrap()[0];
-    let near = &evaluator.locals(std::slice::from_ref(&point), 1.0).unwrap()[0];
-    let loss = evaluator.losses(std::slice::from_ref(&point), 1.0).unwrap()[0];
+    let near = &evaluator.locals(std::slice::from_ref(&point), View::whole(1.0)).unwrap()[0];
+    let loss = evaluator.losses(std::slice::from_ref(&point), View::whole(1.0)).unwrap()[0];
+    let rough = evaluator.rough_losses(std::slice::from_ref(&point), View::whole(1.0)).unwrap()[0];
+    assert!((rough / loss - 1.0).abs() < 1e-2, "{rough} {loss}");
     assert!((exact.cost / loss - 1.0).abs() < 1e-9, "{} {loss}", exact.cost);
     for i in 0..point.len() {
         let h = 1e-6;
@@ -106,7 +109,7 @@ fn exact_derivatives_are_those_of_the_losses_and_differences_agree() {
             moved[i] += by;
             moved
         };
-        let losses = evaluator.losses(&[moved(h), moved(-h)], 1.0).unwrap();
+        let losses = evaluator.losses(&[moved(h), moved(-h)], View::whole(1.0)).unwrap();
         let slope = (losses[0] - losses[1]) / (2.0 * h);
         assert!(
             (2.0 * exact.gradient[i] / slope - 1.0).abs() < 1e-3,
@@ -115,6 +118,37 @@ fn exact_derivatives_are_those_of_the_losses_and_differences_agree() {
         );
         let size = exact.information[i * point.len() + i];
         assert!((near.information[i * point.len() + i] / size - 1.0).abs() < 1e-3);
+    }
+}
+
+#[test]
+fn pieces_that_hold_together_are_the_whole_and_their_derivatives_are_those_of_the_losses() {
+    let problem = Problem::new(&[recording(0.013, 3)], &registry(), &specification()).unwrap();
+    let evaluator = Evaluator::new(&problem).unwrap();
+    let pieces = evaluator.pieces();
+    assert!(pieces >= 3, "{pieces}");
+    let method = Method::Hybrid(HybridOptions { pieces: Some(1), ..HybridOptions::default() });
+    let found = search(&problem, &method, None, &mut go).unwrap();
+    let view = View { share: 1.0, pieces, tightness: 100.0 };
+    let whole = evaluator.losses(std::slice::from_ref(&found.point), View::whole(1.0)).unwrap()[0];
+    let cut = evaluator.states(std::slice::from_ref(&found.point), view).unwrap().remove(0);
+    assert_eq!(cut.len(), found.point.len() + 2 * (pieces - 1));
+    let local = &evaluator.locals(std::slice::from_ref(&cut), view).unwrap()[0];
+    let loss = evaluator.losses(std::slice::from_ref(&cut), view).unwrap()[0];
+    assert!((local.cost / loss - 1.0).abs() < 1e-9, "{} {loss}", local.cost);
+    // With states of their own, pieces fit at least about as well as the whole.
+    assert!(loss < 1.2 * whole, "{loss} {whole}");
+    for i in 0..cut.len() {
+        let h = 1e-5;
+        let moved = |by: f64| {
+            let mut moved = cut.clone();
+            moved[i] += by;
+            moved
+        };
+        let losses = evaluator.losses(&[moved(h), moved(-h)], view).unwrap();
+        let slope = (losses[0] - losses[1]) / (2.0 * h);
+        let size = local.information[i * cut.len() + i].sqrt();
+        assert!((2.0 * local.gradient[i] - slope).abs() < 1e-2 * (slope.abs() + size), "{i}: {slope}");
     }
 }
 
@@ -137,6 +171,12 @@ fn a_hidden_delay_and_constants_are_found_again_and_only_the_sum_of_delays_is() 
         let longest = one.interval[1] + other.interval[0];
         assert!((longest - delay - 1.96 * std).abs() < 1e-6, "{longest} {delay} ± {std}");
     }
+    // Every estimate says where in the graph it stands.
+    let places = |name: &str| serde_json::to_value(&estimate(name).places).unwrap();
+    assert_eq!(places("J"), serde_json::json!([{ "node": "world", "parameter": "pendulum.inertia" }]));
+    assert_eq!(places("angle"), serde_json::json!([{ "node": "world", "state": "angle" }]));
+    let connection = serde_json::json!([{ "from": "motor", "to": "world", "port": "motor", "of": "mean" }]);
+    assert_eq!(places("actuator"), connection);
     let sum = found.combinations.iter().find(|c| !c.product).unwrap();
     assert_eq!(sum.text, "actuator + sensor");
     assert!(found.remarks.iter().any(|remark| remark.contains("actuator + sensor")), "{:?}", found.remarks);
@@ -217,6 +257,10 @@ fn what_is_not_there_is_named_with_what_is() {
     fails(&|s| s.unknowns[1] = s.unknowns[0].clone(), &["sets already"]);
     fails(&|s| s.outputs[0].leaf = "pixel".into(), &["camera.pixel", "angle, stamp"]);
     fails(&|s| s.delays[0].to = "wrld".into(), &["wrld", "world"]);
+    fails(
+        &|s| s.delays[0].scatter = Some(Scatter::Normal),
+        &["actuator", "world", "not compared", "scatter"],
+    );
     fails(&|s| s.span = (5.0, 6.0), &["camera.angle", "no recorded value"]);
     fails(&|s| s.outputs.clear(), &["nothing is compared"]);
     fails(

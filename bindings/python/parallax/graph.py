@@ -50,7 +50,9 @@ class Graph:
     `Graph(supervisor, nodes)` is made of nodes that were connected: `Node`, `PlainNode` and `RustNode`. Else `source`
     is the text of a `graph.toml`, a path to one, to a recording (`.mcap`), or the name of a graph that comes with
     Parallax. Nodes whose kind the program does not know are written in Python: `Graph.compile` takes them by name.
-    Their inputs are what the graph connects to them; what they send is what their receivers in Rust expect.
+    Their inputs are what the graph connects to them; what they send is what their receivers in Rust expect. A file that
+    a node names (an estimator's `system`) is looked for beside the `graph.toml`, and becomes part of the graph; that of
+    a text or a mapping in the working directory.
 
     The graph runs at its supervisor's rate: `init`, then `run` for each of its steps (or `reset` and `step`, which give
     its outputs from outside), and `stop`. `clock` is `WALL_CLOCK` or `SIMULATED`, and under the latter
@@ -399,6 +401,7 @@ class Graph:
 
 
 def _open(source: str | os.PathLike[str] | Mapping[str, Any]) -> _native.Graph:
+    folder = Path()
     if isinstance(source, Mapping):
         spec: dict[str, Any] = dict(source)
     else:
@@ -408,9 +411,9 @@ def _open(source: str | os.PathLike[str] | Mapping[str, Any]) -> _native.Graph:
         if text.endswith(".mcap"):
             return _native.Graph.from_recording(text, [])
         if "\n" not in text:
-            text = Path(text).read_text(encoding="utf-8")
+            folder, text = Path(text).parent, Path(text).read_text(encoding="utf-8")
         spec = tomllib.loads(text)
-    return _native.Graph(json.dumps(spec), "json", _python_kinds(spec))
+    return _native.Graph(json.dumps(spec), "json", _python_kinds(spec), folder)
 
 
 def _python_kinds(spec: Mapping[str, Any]) -> list[tuple[str, list[Any], tuple[str, list[str]], Any]]:

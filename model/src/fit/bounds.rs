@@ -42,6 +42,14 @@ impl Bounds {
         Self { low: vec![f64::NEG_INFINITY; count], high: vec![f64::INFINITY; count] }
     }
 
+    /// With so many further parameters that have no bounds.
+    #[must_use]
+    pub fn and_open(mut self, count: usize) -> Self {
+        self.low.extend(vec![f64::NEG_INFINITY; count]);
+        self.high.extend(vec![f64::INFINITY; count]);
+        self
+    }
+
     /// How many parameters there are.
     #[must_use]
     pub fn len(&self) -> usize {

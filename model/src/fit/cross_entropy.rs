@@ -7,7 +7,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::normal::{draw, stream};
-use super::{Ask, Best, Bounds, FitError, Solver, Stop, Tell, ranked};
+use super::{Ask, Best, Bounds, FitError, Solver, Stop, Tell, View, ranked};
 
 /// Settings of [`CrossEntropy`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -137,7 +137,7 @@ impl Solver for CrossEntropy {
             self.asked = (0..self.population).map(|_| one(draw(&mut random, n))).collect();
         }
         let points = self.asked.iter().map(|y| self.point(y)).collect();
-        Ask::Losses { points, share: self.options.share }
+        Ask::Losses { points, view: View::whole(self.options.share), single: false }
     }
 
     fn tell(&mut self, answer: Tell) {

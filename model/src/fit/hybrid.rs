@@ -1,29 +1,45 @@
-//! A short evolution, then Gauss–Newton on more and more of the data: the default.
+//! A short evolution, then Gauss–Newton on all of the data in pieces: the default.
 //!
 //! Simulations over a whole recording have many local minima: a swing too many or too few fits nothing that comes after.
-//! Over its beginning there are few. So the evolution looks at the beginning only, Gauss–Newton refines its leaders there,
-//! and the data that count then grow until they are all. Where the loss aimed at is not reached, everything starts again
-//! with another seed.
+//! Over its beginning there are few. So the evolution looks at the beginning only, and Gauss–Newton refines its leaders
+//! there. Then all of the data count, cut into pieces that each begin in a state of their own (multiple shooting, H. G. Bock
+//! 1981): no error grows over more than a piece, and what holds the pieces together is made tighter until they are one. Where
+//! the machine cannot be started anywhere but at its beginning, the data that count grow from their beginning instead. Where
+//! the loss aimed at is not reached, everything starts again with another seed.
 
 use serde::{Deserialize, Serialize};
 
+use super::normal::{even, stream};
 use super::{
     Ask, Best, Bounds, CmaEs, CmaOptions, FitError, LevenbergMarquardt, MarquardtOptions, Solver, Stop, Tell,
+    View, ranked,
 };
 
 /// Settings of [`Hybrid`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct HybridOptions {
+    /// Points drawn evenly from the box before the evolution, which begins at the best of them. As leaders and shooters, in
+    /// the second round twice as many, in the third three times, and so on.
+    pub scouts: usize,
     /// Points in a generation of the evolution; absent: 8 for each parameter, at least 64.
     pub population: Option<usize>,
     /// Generations of the evolution.
     pub generations: usize,
     /// First step size of the evolution, in widths of the box.
     pub sigma: f64,
-    /// The shares of the data that count, one after the other; the evolution sees the first.
+    /// The shares of the data that count, one after the other; scouts and evolution see the first. In pieces, only the first two
+    /// are taken, and then all.
     pub shares: Vec<f64>,
-    /// How many of the evolution's leaders Gauss–Newton refines at first; on each further share half as many.
+    /// Into how many pieces all of the data are cut; 1: not at all. Absent: whoever evaluates says, who knows the machine.
+    pub pieces: Option<usize>,
+    /// How tightly the pieces are held together, one after the other: inverse standard deviations in units of the states'
+    /// own spread.
+    pub tightness: Vec<f64>,
+    /// How many of the refined leaders go on to all of the data in pieces.
+    pub shooters: usize,
+    /// How many of the evolution's leaders, and twice as many of the scouts, Gauss–Newton refines at first; on the second
+    /// share as many as leaders, on each further one half as many.
     pub leaders: usize,
     /// Most Gauss–Newton steps on each share.
     pub iterations: usize,
@@ -40,13 +56,17 @@ pub struct HybridOptions {
 impl Default for HybridOptions {
     fn default() -> Self {
         Self {
+            scouts: 1024,
             population: None,
-            generations: 25,
-            sigma: 0.3,
-            shares: vec![0.1, 0.2, 0.4, 0.7, 1.0],
-            leaders: 8,
+            generations: 12,
+            sigma: 0.2,
+            shares: vec![0.05, 0.1, 0.2, 0.4, 0.7, 1.0],
+            pieces: None,
+            tightness: vec![100.0, 1e3, 1e4],
+            shooters: 1,
+            leaders: 4,
             iterations: 20,
-            gain: 1e-2,
+            gain: 2e-2,
             restarts: 8,
             target: None,
             seed: 1,
@@ -54,10 +74,32 @@ impl Default for HybridOptions {
     }
 }
 
+/// No round tries more than so many times what the first one does.
+const MOST_EFFORT: usize = 4;
+/// So many times the loss aimed at is not worth refining.
+const HOPELESS: f64 = 4.0;
+
+/// How much larger a gain has to be before the last view.
+const ON_THE_WAY: f64 = 50.0;
+
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 enum Phase {
+    Scouting {
+        points: Vec<Vec<f64>>,
+    },
     Evolution(Box<CmaEs>),
-    Refinement { stage: usize, search: LevenbergMarquardt },
+    Refinement {
+        stage: usize,
+        search: LevenbergMarquardt,
+    },
+    /// States at the cuts are found for these.
+    Cutting {
+        points: Vec<Vec<f64>>,
+    },
+    Shooting {
+        step: usize,
+        search: LevenbergMarquardt,
+    },
     Done(Stop),
 }
 
@@ -71,6 +113,10 @@ pub struct Hybrid {
     round: usize,
     phase: Phase,
     best: Option<Best>,
+    /// The best scouts of this round.
+    scouts: Vec<Best>,
+    /// The best on the first shares, while all of the data are seen in pieces.
+    refined: Option<Best>,
     /// What the rounds ended at.
     ends: Vec<f64>,
 }
@@ -89,68 +135,130 @@ impl Hybrid {
             let problem = "the shares have to rise from above zero to one";
             return Err(FitError::Option { name: "shares", value, problem });
         }
-        let population = options.population.unwrap_or((8 * bounds.len()).max(64));
+        if options.tightness.iter().any(|value| !(*value > 0.0 && value.is_finite())) {
+            let value = options.tightness.iter().copied().fold(f64::INFINITY, f64::min);
+            let problem = "it has to be above zero";
+            return Err(FitError::Option { name: "tightness", value, problem });
+        }
+        // Whole blocks of lanes.
+        let population = options.population.unwrap_or((8 * bounds.len()).next_multiple_of(32).max(64));
         let mut search = Self {
             population,
             start: start.to_vec(),
             round: 0,
             phase: Phase::Done(Stop::Failed),
             best: None,
+            refined: None,
+            scouts: Vec::new(),
             ends: Vec::new(),
             bounds,
             options,
         };
-        search.phase = Phase::Evolution(search.evolution()?);
+        search.evolution(&search.start)?;
+        search.phase = search.scouting()?;
         if search.bounds.is_empty() {
             search.phase = Phase::Done(Stop::Converged);
         }
         Ok(search)
     }
 
-    fn evolution(&self) -> Result<Box<CmaEs>, FitError> {
+    /// How many times as much a round tries as the first: most fits need one, and some need more than others.
+    fn effort(&self) -> usize {
+        (self.round + 1).min(MOST_EFFORT)
+    }
+
+    fn leaders(&self) -> usize {
+        self.options.leaders.max(1) * self.effort()
+    }
+
+    /// The seed of this round.
+    fn seed(&self) -> u64 {
+        self.options.seed.wrapping_add((self.round as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15))
+    }
+
+    /// Points all over the box, where it is one on all sides.
+    fn scouting(&self) -> Result<Phase, FitError> {
+        let (low, high) = (self.bounds.low(), self.bounds.high());
+        let closed = low.iter().zip(high).all(|(low, high)| (high - low).is_finite());
+        if self.options.scouts == 0 || !closed {
+            return Ok(Phase::Evolution(self.evolution(&self.start)?));
+        }
+        let mut random = stream(self.seed(), u64::MAX, 0);
+        let mut points = vec![self.start.clone()];
+        points.extend((1..self.options.scouts * self.effort()).map(|_| {
+            low.iter()
+                .zip(high)
+                .map(|(low, high)| low + (high - low) * even(&mut random))
+                .collect::<Vec<f64>>()
+        }));
+        Ok(Phase::Scouting { points })
+    }
+
+    fn evolution(&self, start: &[f64]) -> Result<Box<CmaEs>, FitError> {
         let options = CmaOptions {
             population: Some(self.population),
             generations: self.options.generations,
             sigma: self.options.sigma,
             share: self.options.shares[0],
+            single: true,
             // Rounds are told apart by their seed: each evolution counts its own restarts.
-            seed: self.options.seed.wrapping_add((self.round as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15)),
+            seed: self.seed(),
             ..CmaOptions::default()
         };
-        CmaEs::new(self.bounds.clone(), &self.start, options).map(Box::new)
+        CmaEs::new(self.bounds.clone(), start, options).map(Box::new)
+    }
+
+    fn marquardt(
+        &self,
+        view: View,
+        bounds: Bounds,
+        starts: &[Vec<f64>],
+    ) -> Result<LevenbergMarquardt, FitError> {
+        let HybridOptions { iterations, .. } = self.options;
+        // Only the end has to be exact.
+        let last = view == View::whole(1.0);
+        let gain = self.options.gain * if last { 1.0 } else { ON_THE_WAY };
+        let options = MarquardtOptions { iterations, gain, view, ..MarquardtOptions::default() };
+        LevenbergMarquardt::new(bounds, starts, options)
     }
 
     fn refinement(&self, stage: usize, starts: &[Vec<f64>]) -> Result<Phase, FitError> {
-        let options = MarquardtOptions {
-            iterations: self.options.iterations,
-            gain: self.options.gain,
-            share: self.options.shares[stage],
-            target: None,
-            ..MarquardtOptions::default()
-        };
-        let search = LevenbergMarquardt::new(self.bounds.clone(), starts, options)?;
-        Ok(Phase::Refinement { stage, search })
+        let view = View::whole(self.options.shares[stage]);
+        Ok(Phase::Refinement { stage, search: self.marquardt(view, self.bounds.clone(), starts)? })
+    }
+
+    fn shooting(&self, step: usize, starts: &[Vec<f64>]) -> Result<Phase, FitError> {
+        let all = starts.first().map_or(0, Vec::len);
+        let bounds = self.bounds.clone().and_open(all.saturating_sub(self.bounds.len()));
+        Ok(Phase::Shooting { step, search: self.marquardt(self.in_pieces(step), bounds, starts)? })
+    }
+
+    fn pieces(&self) -> usize {
+        self.options.pieces.unwrap_or(1)
+    }
+
+    fn in_pieces(&self, step: usize) -> View {
+        let tightness = self.options.tightness.get(step).copied().unwrap_or(0.0);
+        // What the points fit already.
+        let share = self.options.shares[1.min(self.options.shares.len() - 1)];
+        View { share, pieces: self.pieces(), tightness }
     }
 
     /// Goes on where a phase has ended.
     fn advance(&mut self) {
+        let last = self.options.shares.len() - 1;
         let next = match &self.phase {
+            Phase::Scouting { .. } => return,
             Phase::Evolution(evolution) => {
-                let starts = apart(evolution.leaders(), self.options.leaders, &self.bounds);
+                let mut starts = apart(evolution.leaders(), self.leaders(), &self.bounds);
+                starts.extend(apart(&self.scouts, 2 * self.leaders(), &self.bounds));
                 match starts.is_empty() {
                     true => self.next_round(),
                     false => self.refinement(0, &starts),
                 }
             }
             Phase::Refinement { stage, search } => {
-                let (stage, last) = (*stage, self.options.shares.len() - 1);
-                let mut ends: Vec<Best> = Vec::new();
-                for (point, loss) in search.ends() {
-                    if let Some(loss) = loss.filter(|loss| loss.is_finite()) {
-                        ends.push(Best { point: point.to_vec(), loss });
-                    }
-                }
-                ends.sort_by(|a, b| a.loss.total_cmp(&b.loss));
+                let (stage, mut ends) = (*stage, ends(search));
                 if ends.is_empty() {
                     self.next_round()
                 } else if stage == last {
@@ -163,9 +271,30 @@ impl Hybrid {
                     // What fits the beginning far worse will not fit the whole better.
                     let least = ends[0].loss;
                     ends.retain(|end| end.loss <= 2.0 * least.abs() + least + 10.0);
-                    let most = (self.options.leaders >> (stage + 1)).max(2);
-                    let starts = apart(&ends, most, &self.bounds);
-                    self.refinement(stage + 1, &starts)
+                    let in_pieces = self.pieces() > 1 && !self.options.tightness.is_empty();
+                    if self.is_hopeless(stage, least) {
+                        self.next_round()
+                    } else if in_pieces && stage >= 1 {
+                        let points = apart(&ends, self.options.shooters.max(1) * self.effort(), &self.bounds);
+                        self.refined = ends.first().cloned();
+                        Ok(Phase::Cutting { points })
+                    } else {
+                        let most = (self.leaders() >> stage).max(2);
+                        let starts = apart(&ends, most, &self.bounds);
+                        self.refinement(stage + 1, &starts)
+                    }
+                }
+            }
+            Phase::Cutting { .. } => return,
+            Phase::Shooting { step, search } => {
+                let (step, points) = (*step, distinct(&ends(search)));
+                if points.is_empty() {
+                    self.next_round()
+                } else if step + 1 < self.options.tightness.len() {
+                    self.shooting(step + 1, &points)
+                } else {
+                    let n = self.bounds.len();
+                    self.refinement(last, &points.iter().map(|point| point[..n].to_vec()).collect::<Vec<_>>())
                 }
             }
             Phase::Done(stop) => Ok(Phase::Done(*stop)),
@@ -179,7 +308,15 @@ impl Hybrid {
             return Ok(Phase::Done(stop));
         }
         self.round += 1;
-        Ok(Phase::Evolution(self.evolution()?))
+        self.scouts.clear();
+        self.scouting()
+    }
+
+    /// Whether the beginning of the data is fitted so badly that the rest is not worth looking at: another round costs less.
+    fn is_hopeless(&self, stage: usize, loss: f64) -> bool {
+        let last = self.round >= self.options.restarts;
+        let far = |target: f64| loss > HOPELESS * target * self.options.shares[stage];
+        stage >= 1 && !last && self.options.target.is_some_and(far)
     }
 
     /// Whether the last round ended well.
@@ -193,6 +330,32 @@ impl Hybrid {
             }
         }
     }
+}
+
+/// Where a search has ended, best first.
+fn ends(search: &LevenbergMarquardt) -> Vec<Best> {
+    let mut ends: Vec<Best> = Vec::new();
+    for (point, loss) in search.ends() {
+        if let Some(loss) = loss.filter(|loss| loss.is_finite()) {
+            ends.push(Best { point: point.to_vec(), loss });
+        }
+    }
+    ends.sort_by(|a, b| a.loss.total_cmp(&b.loss));
+    ends
+}
+
+/// The points whose losses are not far above the least and differ from each other: where the data are all seen, one loss is
+/// one minimum.
+fn distinct(ends: &[Best]) -> Vec<Vec<f64>> {
+    let mut kept: Vec<&Best> = Vec::new();
+    for end in ends {
+        let least = kept.first().map_or(end.loss, |best| best.loss);
+        let near = kept.iter().any(|other| (other.loss - end.loss).abs() < 0.5);
+        if !near && end.loss <= least + 2.0 * least.abs() + 10.0 {
+            kept.push(end);
+        }
+    }
+    kept.into_iter().map(|end| end.point.clone()).collect()
 }
 
 /// The first `count` points, best first, that lie apart from each other.
@@ -221,8 +384,16 @@ impl Solver for Hybrid {
     fn ask(&mut self) -> Ask {
         loop {
             let ask = match &mut self.phase {
+                Phase::Scouting { points } => {
+                    let view = View::whole(self.options.shares[0]);
+                    return Ask::Losses { points: points.clone(), view, single: true };
+                }
                 Phase::Evolution(evolution) => evolution.ask(),
-                Phase::Refinement { search, .. } => search.ask(),
+                Phase::Refinement { search, .. } | Phase::Shooting { search, .. } => search.ask(),
+                Phase::Cutting { points } => {
+                    let points = points.clone();
+                    return Ask::States { points, view: self.in_pieces(0) };
+                }
                 Phase::Done(stop) => return Ask::Done(*stop),
             };
             match ask {
@@ -233,7 +404,21 @@ impl Solver for Hybrid {
     }
 
     fn tell(&mut self, answer: Tell) {
+        let most = 8 * self.leaders();
         match &mut self.phase {
+            Phase::Scouting { points } => {
+                let Tell::Losses(losses) = answer else { panic!("it asked for losses") };
+                assert_eq!(losses.len(), points.len(), "a loss for every point asked for");
+                let best = ranked(&losses).into_iter().take(most);
+                let best = best.filter(|&k| losses[k].is_finite());
+                let scouts = best.map(|k| Best { point: points[k].clone(), loss: losses[k] }).collect();
+                self.scouts = scouts;
+                let start = self.scouts.first().map_or(&self.start, |best| &best.point).clone();
+                self.phase = match self.evolution(&start) {
+                    Ok(evolution) => Phase::Evolution(evolution),
+                    Err(_) => Phase::Done(Stop::Failed),
+                };
+            }
             Phase::Evolution(evolution) => {
                 evolution.tell(answer);
                 if self.options.shares[0] == 1.0
@@ -250,6 +435,12 @@ impl Solver for Hybrid {
                     Best::keep(&mut self.best, point, *loss);
                 }
             }
+            Phase::Shooting { search, .. } => search.tell(answer),
+            Phase::Cutting { points } => {
+                let Tell::States(found) = answer else { panic!("it asked for states") };
+                assert_eq!(found.len(), points.len(), "states for every point asked for");
+                self.phase = self.shooting(0, &found).unwrap_or(Phase::Done(Stop::Failed));
+            }
             Phase::Done(_) => panic!("it asked for nothing"),
         }
     }
@@ -257,18 +448,29 @@ impl Solver for Hybrid {
     /// Before anything was seen of all the data: the best of what is being searched, with its loss on less.
     fn best(&self) -> Option<&Best> {
         let searched = match &self.phase {
-            Phase::Evolution(evolution) => evolution.best(),
+            Phase::Scouting { .. } => None,
+            Phase::Evolution(evolution) => evolution.best().or(self.scouts.first()),
             Phase::Refinement { search, .. } => search.best(),
+            Phase::Cutting { .. } | Phase::Shooting { .. } => self.refined.as_ref(),
             Phase::Done(_) => None,
         };
         self.best.as_ref().or(searched)
     }
 
     fn progress(&self) -> f64 {
-        let stages = self.options.shares.len() as f64 + 1.0;
+        let tightened = self.options.tightness.len() as f64;
+        let stages = match self.pieces() {
+            1 => self.options.shares.len() as f64 + 1.0,
+            _ => 4.0 + tightened,
+        };
         let within = match &self.phase {
+            Phase::Scouting { .. } => 0.0,
             Phase::Evolution(evolution) => evolution.progress(),
+            Phase::Refinement { stage: stage @ 0..=1, search } => *stage as f64 + 1.0 + search.progress(),
+            Phase::Refinement { search, .. } if self.pieces() > 1 => 3.0 + tightened + search.progress(),
             Phase::Refinement { stage, search } => *stage as f64 + 1.0 + search.progress(),
+            Phase::Cutting { .. } => 3.0,
+            Phase::Shooting { step, search } => 3.0 + *step as f64 + search.progress(),
             Phase::Done(_) => return 1.0,
         };
         // Most fits need one round, or two that agree.

@@ -7,7 +7,7 @@
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-use super::{Ask, Best, Bounds, FitError, Local, Solver, Stop, Tell, bounded_step};
+use super::{Ask, Best, Bounds, FitError, Local, Solver, Stop, Tell, View, bounded_step};
 
 /// Settings of [`LevenbergMarquardt`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -24,13 +24,13 @@ pub struct MarquardtOptions {
     pub damping: f64,
     /// It ends when a loss is as low as this.
     pub target: Option<f64>,
-    /// How much of the data counts.
-    pub share: f64,
+    /// The data that count.
+    pub view: View,
 }
 
 impl Default for MarquardtOptions {
     fn default() -> Self {
-        Self { iterations: 50, gain: 1e-2, dampings: 5, damping: 1e-3, target: None, share: 1.0 }
+        Self { iterations: 50, gain: 1e-2, dampings: 5, damping: 1e-3, target: None, view: View::whole(1.0) }
     }
 }
 
@@ -163,7 +163,7 @@ impl LevenbergMarquardt {
 
 impl Solver for LevenbergMarquardt {
     fn ask(&mut self) -> Ask {
-        let share = self.options.share;
+        let view = self.options.view;
         loop {
             if let Some(stop) = self.stop {
                 return Ask::Done(stop);
@@ -171,7 +171,7 @@ impl Solver for LevenbergMarquardt {
             let points: Vec<Vec<f64>> =
                 self.tracks.iter().filter(|t| Self::needs_local(t)).map(|t| t.point.clone()).collect();
             if !points.is_empty() {
-                return Ask::Locals { points, share };
+                return Ask::Locals { points, view };
             }
             let mut tracks = std::mem::take(&mut self.tracks);
             for track in tracks.iter_mut().filter(|track| !track.done && track.trials.is_empty()) {
@@ -181,7 +181,7 @@ impl Solver for LevenbergMarquardt {
             let points: Vec<Vec<f64>> =
                 self.tracks.iter().flat_map(|t| t.trials.iter().map(|(point, _)| point.clone())).collect();
             if !points.is_empty() {
-                return Ask::Losses { points, share };
+                return Ask::Losses { points, view, single: false };
             }
             let out = self.tracks.iter().any(|track| track.steps >= self.options.iterations);
             self.stop = Some(match (&self.best, out) {
@@ -204,6 +204,7 @@ impl Solver for LevenbergMarquardt {
                     track.local = Some(local);
                 }
             }
+            Tell::States(_) => panic!("it asked for no states"),
             Tell::Losses(losses) => {
                 let mut tracks = std::mem::take(&mut self.tracks);
                 let mut losses = losses.as_slice();

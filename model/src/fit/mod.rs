@@ -7,7 +7,8 @@
 //! - [`CmaEs`]: evolution of a normal distribution with full covariance, in boxes, with restarts.
 //! - [`CrossEntropy`]: the same idea with a diagonal covariance and an elite.
 //! - [`LevenbergMarquardt`]: damped Gauss–Newton on exact derivatives ([`Local`]), from several starts side by side.
-//! - [`Hybrid`], the default: a short evolution, then Gauss–Newton on more and more of the data.
+//! - [`Hybrid`], the default: a short evolution, then Gauss–Newton on more and more of the data, or on all of them in
+//!   pieces (multiple shooting).
 //!
 //! What enters linearly is not searched for: [`separable`] eliminates it.
 //!
@@ -87,6 +88,28 @@ pub enum FitError {
     },
 }
 
+/// Which data count, and how they are looked at.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct View {
+    /// How much of the data counts, above 0 and up to 1: the beginning of every recording. Who has no data to leave out takes
+    /// all. In pieces all of them count; then it is the share that a point fits that has no states yet.
+    pub share: f64,
+    /// Into how many pieces all of the data are cut; 1: not at all. Every piece begins in a state of its own (multiple
+    /// shooting), whose numbers follow those of a point, piece by piece.
+    pub pieces: usize,
+    /// How much it costs that a piece does not begin where the one before ends, for each number of the state: the
+    /// inverse of a standard deviation, in the units of [`Ask::States`].
+    pub tightness: f64,
+}
+
+impl View {
+    /// The beginning of the data in one piece.
+    #[must_use]
+    pub fn whole(share: f64) -> Self {
+        Self { share, pieces: 1, tightness: 0.0 }
+    }
+}
+
 /// What a solver wants to know next.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Ask {
@@ -94,16 +117,25 @@ pub enum Ask {
     Losses {
         /// The points.
         points: Vec<Vec<f64>>,
-        /// How much of the data counts, above 0 and up to 1: the beginning of every recording. Who has no data to leave
-        /// out takes all.
-        share: f64,
+        /// The data that count.
+        view: View,
+        /// Whether single precision will do: they are only ranked.
+        single: bool,
     },
     /// The losses with their Gauss–Newton models.
     Locals {
         /// The points.
         points: Vec<Vec<f64>>,
-        /// As for losses.
-        share: f64,
+        /// The data that count.
+        view: View,
+    },
+    /// The points with the states in which pieces begin, each number in units of its spread: such that the pieces fit the data
+    /// and hold together, as far as can be seen at once.
+    States {
+        /// The points, without states.
+        points: Vec<Vec<f64>>,
+        /// The data, and how they are cut.
+        view: View,
     },
     /// Nothing: it has ended.
     Done(Stop),
@@ -116,6 +148,8 @@ pub enum Tell {
     Losses(Vec<f64>),
     /// Their Gauss–Newton models.
     Locals(Vec<Local>),
+    /// The points with states at the cuts.
+    States(Vec<Vec<f64>>),
 }
 
 /// Why a solver ended.
@@ -179,6 +213,10 @@ pub fn minimise(solver: &mut impl Solver, mut losses: impl FnMut(&[Vec<f64>]) ->
 }
 
 /// Runs a solver with both kinds of answers, each told the share of the data that counts.
+///
+/// # Panics
+///
+/// When the solver asks for states: such data have none.
 pub fn minimise_with(
     solver: &mut (impl Solver + ?Sized),
     mut losses: impl FnMut(&[Vec<f64>], f64) -> Vec<f64>,
@@ -186,8 +224,9 @@ pub fn minimise_with(
 ) -> Option<Best> {
     loop {
         match solver.ask() {
-            Ask::Losses { points, share } => solver.tell(Tell::Losses(losses(&points, share))),
-            Ask::Locals { points, share } => solver.tell(Tell::Locals(locals(&points, share))),
+            Ask::Losses { points, view, .. } => solver.tell(Tell::Losses(losses(&points, view.share))),
+            Ask::Locals { points, view } => solver.tell(Tell::Locals(locals(&points, view.share))),
+            Ask::States { .. } => panic!("data without states are not cut"),
             Ask::Done(_) => return solver.best().cloned(),
         }
     }

@@ -1,8 +1,8 @@
-//! Standard normal numbers that are named by seed, round and generation.
+//! Random numbers that are named by seed, round and generation.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use rand_distr::{Distribution, StandardNormal};
+use rand_distr::{Distribution, StandardNormal, StandardUniform};
 
 /// The stream of one generation. The same arguments give the same numbers on every machine.
 pub(super) fn stream(seed: u64, round: u64, generation: u64) -> ChaCha8Rng {
@@ -14,7 +14,12 @@ pub(super) fn stream(seed: u64, round: u64, generation: u64) -> ChaCha8Rng {
     ChaCha8Rng::from_seed(key)
 }
 
-/// The next `count` numbers.
+/// The next standard normal numbers, `count` of them.
 pub(super) fn draw(stream: &mut ChaCha8Rng, count: usize) -> Vec<f64> {
     (0..count).map(|_| StandardNormal.sample(stream)).collect()
+}
+
+/// A number between 0 and 1.
+pub(super) fn even(stream: &mut ChaCha8Rng) -> f64 {
+    StandardUniform.sample(stream)
 }

@@ -158,7 +158,9 @@ impl<M: FlatModel, T: InMemory> Kernel for BlockKernel<'_, '_, M, T> {
         let step = self.step;
         let mut unused = Scratch::default();
         let scratch = if M::USES_SCRATCH { self.scratch.of_registers() } else { &mut unused };
-        let times = step.times.map(T::On::<S>::constant);
+        // Not `map`, which stays a call in a large kernel.
+        let [seq, due, start] = step.times;
+        let times = [T::On::<S>::constant(seq), T::On::<S>::constant(due), T::On::<S>::constant(start)];
         let [params, prepared, state, noise] = step.widths;
         for block in 0..step.blocks {
             let inputs = InBlock {

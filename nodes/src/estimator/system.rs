@@ -26,13 +26,14 @@ pub fn kind() -> NodeKind {
 }
 
 /// Puts the text of the `system` that each estimator names into the graph, so that a recording holds all that a replay needs.
-/// Files are relative to `folder`.
+/// Files are relative to `folder`. A graph that holds the text already, such as one that was identified, keeps it.
 ///
 /// # Errors
 ///
 /// [`EstimatorError::File`].
 pub fn embed(spec: &mut GraphSpec, folder: &Path) -> Result<(), EstimatorError> {
-    for node in spec.nodes.iter_mut().filter(|node| node.kind == KIND) {
+    let without_text = |node: &&mut NodeSpec| node.kind == KIND && !node.parameters.contains_key("equations");
+    for node in spec.nodes.iter_mut().filter(without_text) {
         let Some(file) = node.parameters.get("system").and_then(|file| file.as_str()) else { continue };
         let text = read(&folder.join(file))?;
         node.parameters.insert("equations".into(), text.into());

@@ -195,6 +195,47 @@ struct Moving<T> {
     thrust: T,
 }
 
+/// What a derivative needs of the parameters, as few operations as they allow.
+#[derive(Tree, Clone, Copy, Debug, PartialEq)]
+pub struct Constants<T> {
+    per_mass: T,
+    attitude_rate: T,
+    drag_xy: T,
+    drag_z: T,
+    motor_rate: T,
+    motor_gain: T,
+    thrust_state: T,
+    thrust_direct: T,
+    /// The discriminant of the effective PWM: constant and by the thrust.
+    discriminant: T,
+    by_thrust: T,
+    /// The rotors' speed: constant and by the discriminant's root.
+    rotor: T,
+    by_root: T,
+}
+
+impl<T: Scalar> Constants<T> {
+    /// Of these parameters.
+    #[inline(always)]
+    pub fn new(p: &Params<T>) -> Self {
+        let per_two = T::constant(0.5) / p.pwm_quadratic;
+        Self {
+            per_mass: T::constant(1.0) / p.mass,
+            attitude_rate: p.attitude_gain / p.attitude_time,
+            drag_xy: p.drag_xy,
+            drag_z: p.drag_z,
+            motor_rate: p.motor_rate,
+            motor_gain: p.motor_gain,
+            thrust_state: p.thrust_state,
+            thrust_direct: p.thrust_direct,
+            discriminant: p.pwm_linear * p.pwm_linear - p.pwm_quadratic * p.pwm_constant * 4.0,
+            by_thrust: p.pwm_quadratic,
+            rotor: (p.rotor_constant - p.rotor_linear * p.pwm_linear * per_two) * 4.0,
+            by_root: p.rotor_linear * per_two * 4.0,
+        }
+    }
+}
+
 impl<T: Scalar> Moving<T> {
     #[inline(always)]
     fn of(State { position, velocity, attitude: Attitude { roll, pitch, .. }, thrust }: &State<T>) -> Self {
@@ -209,9 +250,11 @@ impl<T: Scalar> Moving<T> {
 
     /// The time derivative, with the yaw's sine and cosine.
     #[inline(always)]
-    fn derivative(&self, p: &Params<T>, yaw: (T, T), u: &Input<T>) -> Self {
-        let thrust = thrust(p, self.thrust, u.pwm);
-        let speed = rotor_speed(p, thrust);
+    fn derivative(&self, c: &Constants<T>, yaw: (T, T), u: &Input<T>) -> Self {
+        let thrust = c.thrust_state * self.thrust + c.thrust_direct * u.pwm;
+        // [`rotor_speed`] at this thrust.
+        let discriminant = c.discriminant + c.by_thrust * thrust;
+        let speed = c.rotor + c.by_root * discriminant.max(T::constant(0.0)).sqrt();
         let r = rotation_towards(self.roll, self.pitch, yaw);
         let v = [self.velocity.x, self.velocity.y, self.velocity.z];
         // The columns of the rotation are the body's axes.
@@ -220,16 +263,16 @@ impl<T: Scalar> Moving<T> {
             dot([r[0][1], r[1][1], r[2][1]], v),
             dot([r[0][2], r[1][2], r[2][2]], v),
         ];
-        let force =
-            [-p.drag_xy * speed * body[0], -p.drag_xy * speed * body[1], thrust - p.drag_z * speed * body[2]];
-        let acceleration = [dot(r[0], force) / p.mass, dot(r[1], force) / p.mass, dot(r[2], force) / p.mass];
-        let attitude_rate = p.attitude_gain / p.attitude_time;
+        let sideways = -c.drag_xy * speed;
+        let force = [sideways * body[0], sideways * body[1], thrust - c.drag_z * speed * body[2]];
+        let acceleration =
+            [dot(r[0], force) * c.per_mass, dot(r[1], force) * c.per_mass, dot(r[2], force) * c.per_mass];
         Self {
             position: self.velocity,
             velocity: Vector { x: acceleration[0], y: acceleration[1], z: acceleration[2] - GRAVITY },
-            roll: (u.roll - self.roll) * attitude_rate,
-            pitch: (u.pitch - self.pitch) * attitude_rate,
-            thrust: p.motor_rate * self.thrust + p.motor_gain * u.pwm,
+            roll: (u.roll - self.roll) * c.attitude_rate,
+            pitch: (u.pitch - self.pitch) * c.attitude_rate,
+            thrust: c.motor_rate * self.thrust + c.motor_gain * u.pwm,
         }
     }
 }
@@ -237,14 +280,59 @@ impl<T: Scalar> Moving<T> {
 /// The time derivative of the state.
 #[inline(always)]
 pub fn derivative<T: Scalar>(p: &Params<T>, x: &State<T>, u: &Input<T>) -> State<T> {
-    Moving::of(x).derivative(p, sine_and_cosine(x.attitude.yaw), u).with_yaw(T::constant(0.0))
+    let constants = Constants::new(p);
+    Moving::of(x).derivative(&constants, sine_and_cosine(x.attitude.yaw), u).with_yaw(T::constant(0.0))
 }
 
 /// The state after one step of `dt` seconds of the integrator under a constant input.
 #[inline(always)]
 pub fn step<T: Scalar>(p: &Params<T>, x: State<T>, u: Input<T>, dt: T) -> State<T> {
+    let (constants, yaw) = (Constants::new(p), sine_and_cosine(x.attitude.yaw));
+    rk4(|x: &Moving<T>| x.derivative(&constants, yaw, &u), Moving::of(&x), dt).with_yaw(x.attitude.yaw)
+}
+
+/// A state on its way through a step, from −1 at its beginning to 1 at its end.
+#[derive(Tree, Clone, Copy, Debug, PartialEq)]
+struct OnTheWay<T> {
+    moving: Moving<T>,
+    way: T,
+}
+
+/// What it moves under: an input along a straight line.
+struct Along<T> {
+    constants: Constants<T>,
+    yaw: (T, T),
+    mean: Input<T>,
+    lean: Input<T>,
+    speed: T,
+}
+
+impl<T: Scalar> Along<T> {
+    #[inline(always)]
+    fn slope(&self, x: &OnTheWay<T>) -> OnTheWay<T> {
+        let Self { mean, lean, .. } = self;
+        let input = Input {
+            pwm: mean.pwm + lean.pwm * x.way,
+            roll: mean.roll + lean.roll * x.way,
+            pitch: mean.pitch + lean.pitch * x.way,
+        };
+        OnTheWay { moving: x.moving.derivative(&self.constants, self.yaw, &input), way: self.speed }
+    }
+}
+
+/// As [`step`], under an input that changes along a straight line from `mean − lean` to `mean + lean`.
+#[inline(always)]
+pub fn step_along<T: Scalar>(
+    constants: &Constants<T>,
+    x: State<T>,
+    mean: Input<T>,
+    lean: Input<T>,
+    dt: T,
+) -> State<T> {
     let yaw = sine_and_cosine(x.attitude.yaw);
-    rk4(|x: &Moving<T>| x.derivative(p, yaw, &u), Moving::of(&x), dt).with_yaw(x.attitude.yaw)
+    let along = Along { constants: *constants, yaw, mean, lean, speed: T::constant(2.0) / dt };
+    let begin = OnTheWay { moving: Moving::of(&x), way: T::constant(-1.0) };
+    rk4(|x: &OnTheWay<T>| along.slope(x), begin, dt).moving.with_yaw(x.attitude.yaw)
 }
 
 /// The quadrotor as a [`Model`].

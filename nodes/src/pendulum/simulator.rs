@@ -1,9 +1,8 @@
 //! The pendulum as a simulator for identification: smooth in everything that a fit moves, delays included.
 //!
 //! Message k is the state at tick k. A step brings it there from the tick before, under the commands at the times at which
-//! they were received, not at ticks: within a tick the voltage that they make is replaced by the straight line of the same
-//! mean and first moment, which moves a pendulum as they do up to the third order of the tick. So predictions change
-//! smoothly with a delay of the commands, and exact derivatives by it exist. Dry friction is resolved within the step: the
+//! they were received, not at ticks, as straight [lines](crate::line). So predictions change smoothly with a delay of the
+//! commands, and exact derivatives by it exist. Dry friction is resolved within the step: the
 //! shaft slides, comes to rest, and stays there or turns back. Integrating `sign θ̇` instead would be wrong by a step's
 //! impulse at every reversal, and its derivative would know nothing of reversals.
 
@@ -14,6 +13,7 @@ use parallax_runtime::registry::NodeKind;
 use serde::Deserialize;
 
 use super::messages::{Voltage, WorldState};
+use crate::line::lines;
 use crate::models::pendulum::{Constants, Params, State};
 
 /// The commands.
@@ -141,29 +141,6 @@ impl<T: Scalar> Prepared<T> {
     }
 }
 
-/// The straight line of the commands' voltage over a tick: its mean, and how far its ends are from that.
-#[inline(always)]
-fn voltage<T: Scalar>(step: &NodeStep<'_, T>, period: T, moment: T) -> (T, T) {
-    let window = step.window(MOTOR.name());
-    let begin = step.start - period;
-    let zero = T::constant(0.0);
-    let (mut sum, mut first_moment, mut from) = (zero, zero, zero);
-    for index in 0..window {
-        let to = if index + 1 < window {
-            let received = step.message::<Voltage<T>>(MOTOR.name(), index + 1).received();
-            (received - begin).max(zero).min(period)
-        } else {
-            period
-        };
-        let volts = step.message::<Voltage<T>>(MOTOR.name(), index).message.voltage;
-        sum += volts * (to - from);
-        first_moment += volts * (to * to - from * from) * 0.5;
-        from = to;
-    }
-    let slope = (first_moment - sum * period * 0.5) * moment;
-    (sum / period, slope * period * 0.5)
-}
-
 impl NodeModel for Simulator {
     const NAME: &'static str = "simulator";
     const PREPARED: usize = <Prepared<f64> as Tree<f64>>::LEAVES;
@@ -199,7 +176,7 @@ impl NodeModel for Simulator {
     ) -> (State<T>, WorldState<T>) {
         let c: Prepared<T> = Prepared::read_from(step.prepared);
         let (h, zero) = (p.period, T::constant(0.0));
-        let (mean, lean) = voltage(step, h, c.moment);
+        let [(mean, lean)] = lines(step, MOTOR.name(), h, c.moment);
         let volts = [mean - lean + p.offset, mean + p.offset, mean + lean + p.offset];
         let State { angle, speed } = state;
 

@@ -58,13 +58,8 @@ impl NodeModel for Mocap {
     #[inline(always)]
     fn step<T: Scalar>(p: &Parameters<T>, (): (), step: &NodeStep<'_, T>) -> ((), Motion<T>) {
         let Motion { position, velocity, attitude, stamp } = step.latest::<Motion<T>>(WORLD.name()).message;
-        let noisy = |x: Vector<T>, std: T, first: usize| Vector {
-            x: x.x + std * step.noise[first],
-            y: x.y + std * step.noise[first + 1],
-            z: x.z + std * step.noise[first + 2],
-        };
-        let position = noisy(position, p.position, 0);
-        let velocity = noisy(velocity, p.velocity, 3);
+        let position = noisy(position, p.position, &step.noise[..3]);
+        let velocity = noisy(velocity, p.velocity, &step.noise[3..6]);
         let attitude = Attitude {
             roll: attitude.roll + p.attitude * step.noise[6],
             pitch: attitude.pitch + p.attitude * step.noise[7],
@@ -72,4 +67,10 @@ impl NodeModel for Mocap {
         };
         ((), Motion { position, velocity, attitude, stamp })
     }
+}
+
+/// A function, because a closure that is called several times stays a call, even in a kernel.
+#[inline(always)]
+fn noisy<T: Scalar>(x: Vector<T>, std: T, noise: &[T]) -> Vector<T> {
+    Vector { x: x.x + std * noise[0], y: x.y + std * noise[1], z: x.z + std * noise[2] }
 }

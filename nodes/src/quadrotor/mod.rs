@@ -10,6 +10,7 @@ mod messages;
 pub mod mocap;
 pub mod pid;
 pub mod plant;
+pub mod simulator;
 
 use parallax_runtime::delay::Delay;
 use parallax_runtime::graph::{GraphBuilder, GraphSpec};
@@ -26,6 +27,7 @@ use plant::Plant;
 pub fn kinds(registry: Registry) -> Registry {
     registry
         .with("quadrotor/plant", plant::kind())
+        .with("quadrotor/simulator", simulator::kind())
         .with("quadrotor/mocap", mocap::kind())
         .with("quadrotor/agent", agent::kind())
         .with("quadrotor/pid", pid::kind())

@@ -45,7 +45,8 @@ impl Given<'_> {
 pub struct Environments<'a> {
     batch: &'a Batch<'a>,
     pub(super) episodes: Vec<u32>,
-    pub(super) seeds: Vec<u64>,
+    /// The seeds of their noise; absent: each has its own by its number.
+    seeds: Option<Vec<u64>>,
     /// `[node]`, each `[environment][leaf]`.
     pub(super) params: Vec<Vec<f64>>,
     pub(super) states: Vec<Vec<f64>>,
@@ -56,6 +57,27 @@ pub struct Environments<'a> {
     pub(super) quiet: bool,
     /// What each environment is differentiated by; empty where nothing is.
     pub(super) slopes: Vec<Vec<Slope>>,
+    /// The passes of its episode that each environment runs; empty where all run all.
+    pub(super) passes: Vec<Passes>,
+}
+
+/// A part of an episode.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(crate) struct Passes {
+    /// The first pass. From the second on, states are those after the pass before, and of what computed nodes sent before
+    /// nothing is known.
+    pub(crate) first: usize,
+    /// Before this pass states are shown.
+    pub(crate) cut: usize,
+    /// The first pass that does not run any more.
+    pub(crate) end: usize,
+}
+
+impl Passes {
+    /// An episode from its beginning.
+    pub(crate) fn until(end: usize) -> Self {
+        Self { first: 0, cut: end, end }
+    }
 }
 
 /// A number that an environment starts with.
@@ -87,7 +109,7 @@ impl<'a> Environments<'a> {
         Self {
             batch,
             episodes: (0..count).map(|index| (index % batch.compiled.episodes) as u32).collect(),
-            seeds: (0..count).map(|index| derived(batch.seed, &format!("environment {index}"))).collect(),
+            seeds: None,
             params: batch.nodes.iter().map(|node| repeat(&node.params)).collect(),
             states: batch.nodes.iter().map(|node| repeat(&node.state)).collect(),
             alphas: (0..batch.connections.len())
@@ -96,12 +118,21 @@ impl<'a> Environments<'a> {
             given: vec![None; batch.nodes.len()],
             quiet: false,
             slopes: Vec::new(),
+            passes: Vec::new(),
         }
     }
 
     /// How many there are.
     pub fn len(&self) -> usize {
         self.episodes.len()
+    }
+
+    /// The seed of an environment's noise.
+    pub(super) fn seed(&self, environment: usize) -> u64 {
+        match &self.seeds {
+            Some(seeds) => seeds[environment],
+            None => derived(self.batch.seed, &format!("environment {environment}")),
+        }
     }
 
     /// Whether there is none.
@@ -113,6 +144,13 @@ impl<'a> Environments<'a> {
     pub fn quiet(&mut self) -> &mut Self {
         self.quiet = true;
         self
+    }
+
+    /// Sets which part of its episode each environment runs; those of one part are stepped together.
+    pub(crate) fn set_passes(&mut self, passes: Vec<Passes>) -> Result<&mut Self, BatchError> {
+        self.check_count("parts of episodes", passes.len(), self.len())?;
+        self.passes = passes;
+        Ok(self)
     }
 
     /// Sets one environment's number.
@@ -157,7 +195,7 @@ impl<'a> Environments<'a> {
     /// [`BatchError::Count`].
     pub fn set_seeds(&mut self, seeds: &[u64]) -> Result<&mut Self, BatchError> {
         self.check_count("seeds", seeds.len(), self.len())?;
-        self.seeds.copy_from_slice(seeds);
+        self.seeds = Some(seeds.to_vec());
         Ok(self)
     }
 

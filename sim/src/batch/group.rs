@@ -1,6 +1,7 @@
 //! Environments of one episode, stepped together through its passes.
 
 use std::mem::take;
+use std::ops::Range;
 
 use parallax_model::node_model::{BlockPort, BlockStep, BlockStore, ErasedModel, Scratch};
 use parallax_runtime::random::{Purpose, stream};
@@ -95,9 +96,9 @@ impl<'a, T: Number> Group<'a, T> {
         let nodes = batch.nodes.iter().enumerate().map(|(index, node)| {
             let noise = node.model.as_ref().map_or(0, |model| model.noise());
             let prepared = node.model.as_ref().map_or(0, |model| model.prepared());
-            let random = members.iter().map(|&member| {
-                stream(environments.seeds[member], Purpose::Node, &compiled.nodes[index].name)
-            });
+            let random = members
+                .iter()
+                .map(|&member| stream(environments.seed(member), Purpose::Node, &compiled.nodes[index].name));
             let mut params = gather(&environments.params[index], node.params.len(), members, blocks);
             let mut state = gather(&environments.states[index], node.state.len(), members, blocks);
             incline(environments, members, &mut params, |place| match place {
@@ -181,13 +182,40 @@ impl<'a, T: Number> Group<'a, T> {
 
     /// Runs all passes of the episode. `made` is called for every output, `passed` after every pass.
     pub(super) fn run(&mut self, made: impl FnMut(&Made<'_, T>), passed: impl FnMut(&Moment<'_>)) {
-        self.run_for(usize::MAX, made, passed);
+        self.run_for(0..usize::MAX, made, passed);
     }
 
-    /// Runs the first passes of the episode.
+    /// Gives what the nodes have sent that are not computed, so far back as somebody may still read it: for episodes that
+    /// begin in the middle.
+    pub(super) fn give_before(&mut self, pass: usize) {
+        let batch = self.batch;
+        let compiled = batch.compiled;
+        let schedule = &batch.schedules[self.environments.episodes[self.members[0]] as usize];
+        let is_given = |node: usize| self.environments.given[node].is_some();
+        let mut lacking: Vec<usize> = (0..compiled.nodes.len())
+            .map(|node| if is_given(node) { compiled.nodes[node].history } else { 0 })
+            .collect();
+        let mut first = pass.min(schedule.passes());
+        while first > 0 && lacking.iter().any(|count| *count > 0) {
+            first -= 1;
+            for entry in schedule.pass(first) {
+                let count = &mut lacking[compiled.slots[entry.slot as usize].node];
+                *count = count.saturating_sub(1);
+            }
+        }
+        for entry in (first..pass.min(schedule.passes())).flat_map(|pass| schedule.pass(pass)) {
+            let node = compiled.slots[entry.slot as usize].node;
+            if let Some(given) = self.environments.given.get(node).and_then(Option::as_ref) {
+                self.give(node, given, entry.seq, entry.write);
+                self.newest[node] = entry.write;
+            }
+        }
+    }
+
+    /// Runs these passes of the episode.
     pub(super) fn run_for(
         &mut self,
-        passes: usize,
+        passes: Range<usize>,
         mut made: impl FnMut(&Made<'_, T>),
         mut passed: impl FnMut(&Moment<'_>),
     ) {
@@ -195,7 +223,7 @@ impl<'a, T: Number> Group<'a, T> {
         let compiled = batch.compiled;
         let episode = self.environments.episodes[self.members[0]] as usize;
         let schedule = &batch.schedules[episode];
-        for pass in 0..schedule.passes().min(passes) {
+        for pass in passes.start..schedule.passes().min(passes.end) {
             let row = compiled.row(episode, pass);
             for entry in schedule.pass(pass) {
                 let (node, seq, write) = (compiled.slots[entry.slot as usize].node, entry.seq, entry.write);
@@ -295,6 +323,17 @@ impl<'a, T: Number> Group<'a, T> {
                 *place = lanes;
             }
         }
+    }
+
+    /// How many blocks of lanes the environments fill.
+    pub(super) fn blocks(&self) -> usize {
+        self.blocks
+    }
+
+    /// The state of a node after its last step in one block of environments.
+    pub(super) fn block_state(&self, node: usize, block: usize) -> &[T] {
+        let node = &self.nodes[node];
+        &node.state[block * node.widths[2]..(block + 1) * node.widths[2]]
     }
 
     /// The states after the last step, one list of leaves for each node and member.

@@ -41,6 +41,7 @@ mod number;
 mod prefetch;
 mod schedule;
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
 
@@ -53,7 +54,7 @@ use rayon::prelude::*;
 use crate::compiled::CompiledGraph;
 
 pub use environments::{Environments, Given};
-pub(crate) use environments::{Place, Slope};
+pub(crate) use environments::{Passes, Place, Slope};
 use group::Group;
 pub(crate) use group::Made;
 pub(crate) use number::Number;
@@ -294,31 +295,44 @@ impl<'a> Batch<'a> {
         Ok(results.collect())
     }
 
-    /// Runs the first `passes` of every environment's episode in groups of at most `most`, and shows every output to
-    /// `made` with the result that `start` made for its group. Gives the groups' environments and results.
+    /// Runs every environment's part of its episode in groups of at most `most`, and shows every output to `made` with the
+    /// result that `start` made for its group, and the states to `cut`, where the part is cut. Gives the groups'
+    /// environments and results.
     pub(crate) fn visit<T: Number, R: Send>(
         &self,
         environments: &Environments<'_>,
-        (most, passes): (usize, usize),
+        most: usize,
         start: impl Fn(&[usize]) -> R + Sync,
         made: impl Fn(&mut R, &Made<'_, T>) + Sync,
+        cut: impl Fn(&mut R, &States<'_, '_, T>) + Sync,
     ) -> Result<Vec<(Vec<usize>, R)>, BatchError> {
         let groups = self.groups(environments, most)?;
         let results = groups.into_par_iter().map(|members| {
             let mut result = start(&members);
             let mut group = Group::<T>::new(self, environments, &members);
-            group.run_for(passes, |output| made(&mut result, output), |_| {});
+            let all = Passes::until(usize::MAX);
+            let Passes { first, cut: at, end } = environments.passes.get(members[0]).copied().unwrap_or(all);
+            group.give_before(first);
+            group.run_for(first..at, |output| made(&mut result, output), |_| {});
+            if at < end {
+                cut(&mut result, &States { group: &group });
+                group.run_for(at..end, |output| made(&mut result, output), |_| {});
+            }
             (members, result)
         });
         Ok(results.collect())
     }
 
+    /// The nodes that carry a state from step to step and are computed, with the places of their leaves.
+    pub(crate) fn states(&self) -> impl Iterator<Item = Place> {
+        let computed = self.nodes.iter().enumerate().filter(|(_, node)| node.model.is_some());
+        computed
+            .flat_map(|(node, content)| (0..content.state.len()).map(move |leaf| Place::State { node, leaf }))
+    }
+
     /// The first pass of an episode in which a step starts at `time` (s) or later.
     pub(crate) fn pass_at(&self, episode: usize, time: f64) -> usize {
-        let schedule = &self.schedules[episode];
-        (0..schedule.passes())
-            .find(|&pass| schedule.pass(pass).iter().any(|entry| entry.start >= time))
-            .unwrap_or_else(|| schedule.passes())
+        self.schedules[episode].pass_at(time)
     }
 
     fn rollout_on<T: Number>(
@@ -384,7 +398,7 @@ impl<'a> Batch<'a> {
         Ok(Rollout { outputs, states })
     }
 
-    /// Environments of one episode, at most so many together.
+    /// Environments of one episode, and of the same part of it, at most so many together.
     fn groups(&self, environments: &Environments<'_>, most: usize) -> Result<Vec<Vec<usize>>, BatchError> {
         for (index, node) in self.compiled.nodes.iter().enumerate() {
             let runs = self.compiled.slots.iter().any(|slot| slot.node == index);
@@ -392,11 +406,29 @@ impl<'a> Batch<'a> {
                 return Err(BatchError::NotGiven { node: node.name.clone() });
             }
         }
-        let mut of_episode = vec![Vec::new(); self.compiled.episodes];
+        let mut alike: BTreeMap<(u32, Option<Passes>), Vec<usize>> = BTreeMap::new();
         for (environment, &episode) in environments.episodes.iter().enumerate() {
-            of_episode[episode as usize].push(environment);
+            let passes = environments.passes.get(environment).copied();
+            alike.entry((episode, passes)).or_default().push(environment);
         }
-        Ok(of_episode.iter().flat_map(|members| members.chunks(most)).map(<[usize]>::to_vec).collect())
+        Ok(alike.values().flat_map(|members| members.chunks(most)).map(<[usize]>::to_vec).collect())
+    }
+}
+
+/// The states of a group in the middle of its run.
+pub(crate) struct States<'s, 'a, T: Number> {
+    group: &'s Group<'a, T>,
+}
+
+impl<T: Number> States<'_, '_, T> {
+    /// How many blocks the group's environments fill.
+    pub(crate) fn blocks(&self) -> usize {
+        self.group.blocks()
+    }
+
+    /// A node's state in one block of environments.
+    pub(crate) fn block(&self, node: usize, block: usize) -> &[T] {
+        self.group.block_state(node, block)
     }
 }
 

@@ -11,6 +11,8 @@ pub(super) struct Schedule {
     entries: Vec<Entry>,
     /// Per pass, where its entries end.
     ends: Vec<usize>,
+    /// Per pass, the latest start of a step up to its end, s.
+    latest: Vec<f64>,
     /// The places that the entries read, port after port: in histories, or in the window of what is selected.
     read: Vec<u32>,
 }
@@ -31,7 +33,13 @@ pub(super) struct Entry {
 impl Schedule {
     pub(super) fn new(compiled: &CompiledGraph, episode: usize) -> Self {
         let passes = compiled.warm_up + compiled.lengths[episode] as usize;
-        let mut schedule = Self { entries: Vec::new(), ends: Vec::with_capacity(passes), read: Vec::new() };
+        let mut schedule = Self {
+            entries: Vec::new(),
+            ends: Vec::with_capacity(passes),
+            latest: Vec::with_capacity(passes),
+            read: Vec::new(),
+        };
+        let mut latest = f64::NEG_INFINITY;
         for pass in 0..passes {
             let row = compiled.row(episode, pass);
             for (index, slot) in compiled.slots.iter().enumerate() {
@@ -47,6 +55,7 @@ impl Schedule {
                         schedule.read.extend(&input.read[row * input.candidates..][..input.window]);
                     }
                 }
+                latest = latest.max(to_seconds(rows.start[row]));
                 schedule.entries.push(Entry {
                     slot: index as u32,
                     seq: rows.seq[row],
@@ -57,12 +66,18 @@ impl Schedule {
                 });
             }
             schedule.ends.push(schedule.entries.len());
+            schedule.latest.push(latest);
         }
         schedule
     }
 
     pub(super) fn passes(&self) -> usize {
         self.ends.len()
+    }
+
+    /// The first pass in which a step starts at `time` (s) or later.
+    pub(super) fn pass_at(&self, time: f64) -> usize {
+        self.latest.partition_point(|latest| *latest < time)
     }
 
     #[inline(always)]

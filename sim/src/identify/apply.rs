@@ -7,6 +7,7 @@ use parallax_runtime::registry::{NodeKind, Registry};
 use serde_json::{Map, Value};
 
 use super::coordinate::Sort;
+use super::location::parameter;
 use super::outcome::Identified;
 use super::problem::Problem;
 use crate::batch::Place;
@@ -35,7 +36,11 @@ pub fn identified_graph(
         for place in &coordinate.places {
             let (node, number) = match *place {
                 Place::Delay { connection } => {
-                    spec.connections[connection].delay = Delay::constant(estimate.value);
+                    let spread = found.estimate(&format!("{}.spread", estimate.name));
+                    spec.connections[connection].delay = match spread {
+                        Some(spread) => Delay::Normal { mean: estimate.value, std: spread.value },
+                        None => Delay::constant(estimate.value),
+                    };
                     continue;
                 }
                 Place::Param { node, leaf } => (node, Number::Param(leaf)),
@@ -51,14 +56,12 @@ pub fn identified_graph(
         }
     }
     for estimate in found.estimates.iter().filter(|estimate| estimate.sort == Sort::Linear) {
-        let place = estimate.name.split_once('.').and_then(|(name, leaf)| {
-            let index = problem.graph().index(name)?;
-            let kind = &problem.graph().nodes()[index].kind;
-            let leaf = kind.node_model()?.model().params().iter().position(|known| known == leaf)?;
-            Some((index, kind, leaf))
-        });
-        let written = place.is_some_and(|(index, kind, leaf)| {
-            set(&mut spec.nodes[index], kind, Number::Param(leaf), estimate.value)
+        let written = parameter(problem, &estimate.name).is_some_and(|place| match place {
+            Place::Param { node, leaf } => {
+                let kind = &problem.graph().nodes()[node].kind;
+                set(&mut spec.nodes[node], kind, Number::Param(leaf), estimate.value)
+            }
+            _ => false,
         });
         if !written {
             notes.push(format!("the coefficient `{}` is no parameter of the graph", estimate.name));

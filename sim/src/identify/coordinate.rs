@@ -31,8 +31,10 @@ pub enum Sort {
     Parameter,
     /// A leaf of a first state.
     State,
-    /// A hidden delay.
+    /// A hidden delay, or the mean of one that scatters.
     Delay,
+    /// The standard deviation of a hidden delay.
+    Spread,
     /// A coefficient that enters linearly.
     Linear,
 }
@@ -115,6 +117,11 @@ impl Coordinate {
             Sort::Delay => (z, 1.0),
             _ => (self.value(z), self.slope(z)),
         }
+    }
+
+    /// What a place is given.
+    pub(super) fn put(&self, z: f64) -> f64 {
+        if self.sort == Sort::Delay { z } else { self.value(z) }
     }
 
     /// The prior's mean and standard deviation in `z`.

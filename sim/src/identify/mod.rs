@@ -21,6 +21,7 @@ mod combination;
 mod coordinate;
 mod error;
 mod evaluate;
+mod location;
 mod outcome;
 mod problem;
 mod simulators;
@@ -41,9 +42,12 @@ pub use combination::Combination;
 pub use coordinate::Sort;
 pub use error::IdentifyError;
 pub use evaluate::Evaluator;
+pub use location::{Location, Moment};
 pub use outcome::{Estimate, Identified, Reconstruction, Score, Series};
 pub use problem::Problem;
-pub use spec::{HiddenDelay, Output, Prior, Simulated, Specification, Target, Term, Transform, Unknown};
+pub use spec::{
+    HiddenDelay, Output, Prior, Scatter, Simulated, Specification, Target, Term, Transform, Unknown,
+};
 
 /// How to search.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -76,11 +80,12 @@ enum Search {
 }
 
 impl Search {
-    fn new(method: &Method, start: &[f64], floor: Option<f64>) -> Result<Self, IdentifyError> {
+    fn new(method: &Method, start: &[f64], floor: Option<f64>, pieces: usize) -> Result<Self, IdentifyError> {
         let bounds = Bounds::unit(start.len());
         Ok(match method {
             Method::Hybrid(options) => {
-                let options = HybridOptions { target: options.target.or(floor), ..options.clone() };
+                let (target, pieces) = (options.target.or(floor), options.pieces.or(Some(pieces)));
+                let options = HybridOptions { target, pieces, ..options.clone() };
                 Search::Hybrid(Box::new(Hybrid::new(bounds, start, options)?))
             }
             Method::CmaEs(options) => Search::CmaEs(Box::new(CmaEs::new(bounds, start, options.clone())?)),
@@ -151,7 +156,7 @@ pub fn search(
             return Err(IdentifyError::Checkpoint { problem });
         }
         None => {
-            let search = Search::new(method, &problem.start(), problem.noise_floor())?;
+            let search = Search::new(method, &problem.start(), problem.noise_floor(), evaluator.pieces())?;
             Checkpoint { problem: name, search, rollouts: 0 }
         }
     };
@@ -159,16 +164,25 @@ pub fn search(
     let mut best: Option<Best> = None;
     let stop: Option<Stop> = loop {
         let answer = match state.search.solver().ask() {
-            Ask::Losses { points, share } => {
+            Ask::Losses { points, view, single } => {
                 state.rollouts += (points.len() * problem.episodes) as u64;
-                Tell::Losses(evaluator.losses(&points, share)?)
+                Tell::Losses(match single {
+                    true => evaluator.rough_losses(&points, view)?,
+                    false => evaluator.losses(&points, view)?,
+                })
             }
-            Ask::Locals { points, share } => {
+            Ask::Locals { points, view } => {
                 state.rollouts += (points.len() * directions) as u64;
                 match state.search {
-                    Search::LevenbergMarquardt(_) => Tell::Locals(evaluator.exact_locals(&points, share)?),
-                    _ => Tell::Locals(evaluator.locals(&points, share)?),
+                    Search::LevenbergMarquardt(_) => {
+                        Tell::Locals(evaluator.exact_locals(&points, view.share)?)
+                    }
+                    _ => Tell::Locals(evaluator.locals(&points, view)?),
                 }
+            }
+            Ask::States { points, view } => {
+                state.rollouts += (points.len() * problem.episodes) as u64;
+                Tell::States(evaluator.states(&points, view)?)
             }
             Ask::Done(stop) => break Some(stop),
         };

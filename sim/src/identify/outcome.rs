@@ -7,7 +7,8 @@ use serde::{Deserialize, Serialize};
 use super::combination::{Combination, Member, Spread, combinations};
 use super::coordinate::Sort;
 use super::error::IdentifyError;
-use super::evaluate::{Evaluator, Fit, wrapped};
+use super::evaluate::{Evaluator, Fit, Scattered, wrapped};
+use super::location::{Location, Moment, locations};
 use super::problem::Problem;
 
 /// The result of an identification.
@@ -40,6 +41,8 @@ pub struct Estimate {
     pub name: String,
     /// What kind of number it is.
     pub sort: Sort,
+    /// Where in the graph it stands; several places are tied to each other.
+    pub places: Vec<Location>,
     /// Its value.
     pub value: f64,
     /// Its standard deviation; absent where the data do not determine it.
@@ -108,8 +111,24 @@ pub(super) fn outcome(
     stop: Option<Stop>,
     rollouts: u64,
 ) -> Result<Identified, IdentifyError> {
-    let models = evaluator.models(std::slice::from_ref(&best.point), 1.0)?;
-    let (local, fit) = models.into_iter().next().ok_or(IdentifyError::NotFinite)?;
+    let scattered = match problem.scattered.is_empty() {
+        true => None,
+        false => Some(evaluator.scattered(best)?),
+    };
+    let best = scattered.as_ref().map_or(best, |scattered| &scattered.best);
+    let (local, coefficients, information) = match &scattered {
+        Some(Scattered { local, coefficients, .. }) => {
+            let all = local.gradient.len();
+            let information = DMatrix::from_row_slice(all, all, &local.information);
+            (local.clone(), coefficients.clone(), information)
+        }
+        None => {
+            let models = evaluator.models(std::slice::from_ref(&best.point), 1.0)?;
+            let (local, fit) = models.into_iter().next().ok_or(IdentifyError::NotFinite)?;
+            let information = weighted(problem, &local, &fit);
+            (local, fit.coefficients, information)
+        }
+    };
     if !local.is_finite() {
         return Err(IdentifyError::NotFinite);
     }
@@ -117,7 +136,7 @@ pub(super) fn outcome(
     for (coordinate, z) in problem.coordinates.iter().zip(&best.point) {
         values.push((coordinate.value(*z), coordinate.slope(*z)));
     }
-    let linear = problem.outputs.iter().zip(&fit.coefficients);
+    let linear = problem.outputs.iter().zip(&coefficients);
     let linear: Vec<(&str, f64)> = linear
         .flat_map(|(output, coefficients)| {
             output.names.iter().map(String::as_str).zip(coefficients.iter().copied())
@@ -126,7 +145,6 @@ pub(super) fn outcome(
 
     let n = values.len();
     let all = n + linear.len();
-    let information = weighted(problem, &local, &fit);
     // Linear coefficients have no bounds to compare with; their uncertainty without that of the others is.
     let scale: Vec<f64> = (0..all)
         .map(|i| match i < n {
@@ -147,7 +165,7 @@ pub(super) fn outcome(
     let deviation = |i: usize| spread.std(i) * members[i].slope.abs();
 
     let mut estimates = Vec::with_capacity(all);
-    for (i, member) in members.iter().enumerate() {
+    for ((i, member), places) in members.iter().enumerate().zip(locations(problem)) {
         let coordinate = problem.coordinates.get(i);
         let bounds = coordinate.map(|c| [c.low, c.high]);
         let at_bound = coordinate.is_some() && !(1e-6..=1.0 - 1e-6).contains(&best.point[i]);
@@ -166,6 +184,7 @@ pub(super) fn outcome(
         estimates.push(Estimate {
             name: member.name.to_owned(),
             sort: member.sort,
+            places,
             value: member.value,
             std,
             interval,
@@ -174,17 +193,59 @@ pub(super) fn outcome(
             unit: coordinate.map_or_else(String::new, |c| c.unit.clone()),
         });
     }
-    let covariance = (0..all * all).map(|at| {
-        let (i, j) = (at / all, at % all);
-        spread.covariance[(i, j)] * members[i].slope * members[j].slope
+    let spreads: Vec<(f64, f64)> =
+        scattered.as_ref().map_or_else(Vec::new, |scattered| scattered.spreads.clone());
+    let with_spreads = all + spreads.len();
+    let covariance = (0..with_spreads * with_spreads).map(|at| {
+        let (i, j) = (at / with_spreads, at % with_spreads);
+        match (i < all && j < all, i == j) {
+            (true, _) => spread.covariance[(i, j)] * members[i].slope * members[j].slope,
+            (false, true) => deviation_of(spreads[i - all]).powi(2),
+            (false, false) => 0.0,
+        }
     });
     let covariance = covariance.collect();
     let (involved, combinations) = combinations(&members, &spread);
     leave_open_what_only_a_sum_tells(&mut estimates, &combinations);
-    let remarks = remarks(&estimates, &involved, &combinations);
-    let outputs = scores(problem, evaluator, best, &fit)?;
+    let mut remarks = remarks(&estimates, &involved, &combinations);
+    for (&delay, found) in problem.scattered.iter().zip(&spreads) {
+        let estimate = spread_of(&estimates[delay], *found);
+        remarks.push(format!(
+            "`{}` is another one for every message, with a standard deviation of {:.2} ms: the predictions are those of its mean, \
+             and err by more than the noise where things move fast",
+            estimates[delay].name,
+            1e3 * estimate.value
+        ));
+        estimates.push(estimate);
+    }
+    let outputs = scores(problem, evaluator, best, &coefficients)?;
     let (loss, point) = (local.cost, best.point.clone());
     Ok(Identified { estimates, covariance, combinations, remarks, outputs, loss, stop, rollouts, point })
+}
+
+/// The standard deviation of a spread that is the root of a variance with a standard deviation.
+fn deviation_of((spread, of_square): (f64, f64)) -> f64 {
+    of_square / (2.0 * spread.max(f64::MIN_POSITIVE))
+}
+
+/// The spread of a delay.
+fn spread_of(delay: &Estimate, (spread, of_square): (f64, f64)) -> Estimate {
+    let half = BELOW * of_square;
+    let places = delay.places.iter().cloned().map(|place| match place {
+        Location::Delay { from, to, port, .. } => Location::Delay { from, to, port, of: Moment::Spread },
+        place => place,
+    });
+    Estimate {
+        name: format!("{}.spread", delay.name),
+        sort: Sort::Spread,
+        places: places.collect(),
+        value: spread,
+        std: Some(deviation_of((spread, of_square))),
+        interval: [(spread * spread - half).max(0.0).sqrt(), (spread * spread + half).sqrt()],
+        bounds: None,
+        at_bound: false,
+        unit: delay.unit.clone(),
+    }
 }
 
 /// Delays in a row of which the data tell the sum: a machine that starts anywhere shows nothing of the single ones, and what
@@ -285,9 +346,9 @@ fn scores(
     problem: &Problem,
     evaluator: &Evaluator<'_>,
     best: &Best,
-    fit: &Fit,
+    coefficients: &[Vec<f64>],
 ) -> Result<Vec<Score>, IdentifyError> {
-    let predicted = evaluator.predict(&best.point, &fit.coefficients)?;
+    let predicted = evaluator.predict(&best.point, coefficients)?;
     let scores = problem.outputs.iter().enumerate().map(|(index, output)| {
         let error = |seen: bool| {
             let (mut count, mut square) = (0, 0.0);

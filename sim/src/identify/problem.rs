@@ -1,5 +1,7 @@
 //! Recordings, and what to find in them, as a computation graph that is ready to run.
 
+use std::ops::Range;
+
 use parallax_runtime::graph::Graph;
 use parallax_runtime::recording::Recording;
 use parallax_runtime::registry::Registry;
@@ -23,10 +25,16 @@ pub struct Problem {
     pub(super) outputs: Vec<Compared>,
     pub(super) given: Vec<Recorded>,
     pub(super) episodes: usize,
+    /// The coordinates that are delays which scatter.
+    pub(super) scattered: Vec<usize>,
     /// Per recording: from when on it counts, until when fits see it, until when it counts, s.
     pub(super) spans: Vec<[f64; 3]>,
     specification: Specification,
 }
+
+/// Delays that scatter are taken to make errors at most so many times as large as the noise: a local minimum makes them
+/// larger by far.
+const SCATTERED: f64 = 4.0;
 
 /// What a node sent that is not simulated: `[episode][step][leaf]`.
 #[derive(Debug, Clone)]
@@ -47,6 +55,9 @@ pub(super) struct Compared {
     pub(super) names: Vec<String>,
     pub(super) wrap: Option<f64>,
     pub(super) noise: Option<f64>,
+    /// About what recorded values lie, where a constant is among the coefficients: sums are taken around it, so that few
+    /// digits are lost.
+    pub(super) centre: f64,
     /// `[episode][step]`, not a number where nothing was recorded.
     pub(super) values: Vec<Vec<f64>>,
     /// When the steps started, s, likewise.
@@ -54,6 +65,11 @@ pub(super) struct Compared {
 }
 
 impl Compared {
+    /// The recorded values among these steps of an episode.
+    pub(super) fn counted(&self, episode: usize, steps: &Range<usize>) -> impl Iterator<Item = f64> {
+        self.values[episode][steps.clone()].iter().copied().filter(|value| value.is_finite())
+    }
+
     /// The steps of an episode that count, up to `until` (s).
     pub(super) fn counts(&self, episode: usize, step: usize, from: f64, until: f64) -> bool {
         let time = self.times[episode].get(step);
@@ -116,7 +132,9 @@ impl Problem {
         let spans = recordings.iter().map(|recording| span(recording, specification)).collect();
         let episodes = recordings.len();
         let specification = specification.clone();
-        let problem = Self { graph, compiled, coordinates, outputs, given, episodes, spans, specification };
+        let scattered = scattered(&graph, &coordinates, &specification, &pinned)?;
+        let problem =
+            Self { graph, compiled, coordinates, outputs, given, episodes, scattered, spans, specification };
         problem.check_data()?;
         Ok(problem)
     }
@@ -171,7 +189,9 @@ impl Problem {
         let declared = self.outputs.iter().all(|output| output.noise.is_some());
         let samples: usize = self.outputs.iter().map(|output| self.samples(output, 1.0)).sum();
         let n = samples as f64;
-        declared.then(|| n + 3.0 * (2.0 * n).sqrt())
+        // Delays that scatter are noise of unknown size, until their spreads are found.
+        let scatter = if self.scattered.is_empty() { 1.0 } else { SCATTERED * SCATTERED };
+        declared.then(|| scatter * (n + 3.0 * (2.0 * n).sqrt()))
     }
 
     /// A number that tells this problem from others.
@@ -261,7 +281,12 @@ fn compared(graph: &Graph, output: &Output, recordings: &[Recording]) -> Result<
     }
     let names = output.linear.iter().map(|term| term.name.clone()).collect();
     let Output { wrap, noise, .. } = *output;
-    Ok(Compared { name, node, leaf: place, terms, names, wrap, noise, values, times })
+    let finite = || values.iter().flatten().filter(|value: &&f64| value.is_finite());
+    let centre = match terms.contains(&None) {
+        true => finite().sum::<f64>() / finite().count().max(1) as f64,
+        false => 0.0,
+    };
+    Ok(Compared { name, node, leaf: place, terms, names, wrap, noise, centre, values, times })
 }
 
 /// Steps after the supervisor's last one belong to no pass: nothing is predicted for them.
@@ -339,6 +364,39 @@ fn coordinates(
             prior: delay.prior,
         };
         coordinate.check(&whose)?;
+        found.push(coordinate);
+    }
+    Ok(found)
+}
+
+/// The coordinates that are delays which scatter. What such a delay feeds has to be compared and to reach no state: then
+/// every message has its own, and no other feels it.
+fn scattered(
+    graph: &Graph,
+    coordinates: &[Coordinate],
+    specification: &Specification,
+    pinned: &[usize],
+) -> Result<Vec<usize>, IdentifyError> {
+    let mut found = Vec::new();
+    for delay in specification.delays.iter().filter(|delay| delay.scatter.is_some()) {
+        let of = |c: &Coordinate| c.sort == Sort::Delay && c.name == delay.name;
+        let Some(coordinate) = coordinates.iter().position(of) else { continue };
+        let compared = specification.outputs.iter().any(|output| output.node == delay.to);
+        let sends_on = graph.index(&delay.to).is_some_and(|node| {
+            let edges = graph.connections().iter();
+            edges.filter(|edge| edge.from == node).any(|edge| !pinned.contains(&edge.to))
+        });
+        if !compared || sends_on {
+            let why = if compared { "sends on to a node that is simulated" } else { "is not compared" };
+            return Err(IdentifyError::Value {
+                whose: format!("delays.\"{}\"", delay.name),
+                problem: format!(
+                    "`{}` {why}: the spread of a delay is found only where it ends at a node whose output is compared and goes \
+                     nowhere else (a sensor); leave `scatter` out, and its mean is found",
+                    delay.to
+                ),
+            });
+        }
         found.push(coordinate);
     }
     Ok(found)

@@ -121,7 +121,15 @@ impl Transform {
     }
 }
 
-/// A delay that no stamp shows, constant over the recordings.
+/// What is to be found of a delay that is another one for every message.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Scatter {
+    /// Mean and standard deviation.
+    Normal,
+}
+
+/// A delay that no stamp shows: constant over the recordings, unless it scatters.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HiddenDelay {
     /// What people call it.
@@ -143,6 +151,8 @@ pub struct HiddenDelay {
     /// How payloads follow; absent: a node that steps when it did sees what lies between two messages, a simulator with a
     /// rate of its own gets whole messages with the time at which each arrives.
     pub interpolation: Option<Interpolation>,
+    /// Whether every message takes another time, and which is to be found then. Only where what the receiver sends is compared.
+    pub scatter: Option<Scatter>,
     /// How many messages the receiver sees; absent: the connection's window, at least 3 for a simulator that gets whole
     /// messages.
     pub window: Option<usize>,

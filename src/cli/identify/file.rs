@@ -8,8 +8,8 @@ use parallax_runtime::delay::Delay;
 use parallax_runtime::graph::{ConnectionSpec, Parameters};
 use parallax_sim::compiled::Interpolation;
 use parallax_sim::identify::{
-    HiddenDelay, IdentifyError, Method, Output, Prior, Simulated, Specification, Target, Term, Transform,
-    Unknown,
+    HiddenDelay, IdentifyError, Method, Output, Prior, Scatter, Simulated, Specification, Target, Term,
+    Transform, Unknown,
 };
 use serde::Deserialize;
 use toml::Spanned;
@@ -90,6 +90,8 @@ struct Hidden {
     port: Option<String>,
     #[serde(default)]
     interpolation: Option<Between>,
+    #[serde(default)]
+    scatter: Option<Scatter>,
     #[serde(default)]
     window: Option<usize>,
 }
@@ -185,7 +187,8 @@ impl File {
         }
         for (key, entry) in parsed.delays {
             let at = line(entry.span().start);
-            let Hidden { min, max, start, prior, name, port, interpolation, window } = entry.into_inner();
+            let Hidden { min, max, start, prior, name, port, interpolation, scatter, window } =
+                entry.into_inner();
             let name = name.unwrap_or_else(|| key.clone());
             file.lines.push((format!("delays.\"{name}\""), at));
             let interpolation = interpolation.map(|between| match between {
@@ -205,6 +208,7 @@ impl File {
                         start,
                         prior,
                         interpolation,
+                        scatter,
                         window,
                     });
                 }),

@@ -234,7 +234,7 @@ def _trained(options: Options, variant: Variant, out: Path) -> Training:
         episodes=episodes,
         past_observations=variant.past[0],
         past_actions=variant.past[1],
-        randomisation=Randomisation.identified(out / "identify", out / "identify.toml", widen=2.0),
+        randomisation=Randomisation.identified(out / "identify", widen=2.0),
     )
     settings = PENDULUM.changed(total_steps=options.steps)
     return train(environment, settings, folder=out / "training" / variant.training, evaluations=10)

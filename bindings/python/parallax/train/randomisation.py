@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -134,32 +133,36 @@ class Randomisation:
     def identified(
         cls,
         folder: str | os.PathLike[str],
-        spec: str | os.PathLike[str],
         *,
         widen: float = 1.0,
         nodes: Iterable[str] | None = None,
     ) -> Randomisation:
         """What `parallax identify` was left unsure of.
 
-        `folder` is where it wrote `identified.json`, `spec` the file that it was given. Parameters are drawn together
-        from a normal distribution with the estimates' covariance, `widen` times as wide, within the search's bounds;
-        first states and delays are not drawn. A direction in which the data do not narrow the bounds is left alone:
-        the predictions do not depend on it, and drawn number by number it would pull what belongs together apart.
-        With `nodes`, only at these; what is tied elsewhere stays.
+        `folder` is where it wrote `identified.json`, which names the places. Parameters are drawn together from a
+        normal distribution with the estimates' covariance, `widen` times as wide, within the search's bounds; first
+        states and delays are not drawn. A direction in which the data do not narrow the bounds is left alone: the
+        predictions do not depend on it, and drawn number by number it would pull what belongs together apart. With
+        `nodes`, only at these; what is tied elsewhere stays.
         """
         file = Path(folder) / "identified.json"
         found = json.loads(file.read_text(encoding="utf-8"))
-        places = _places(Path(spec), None if nodes is None else set(nodes))
         estimates = found["estimates"]
+        if any("places" not in estimate for estimate in estimates):
+            raise ValueError(f"{file} does not say where its estimates stand; run `parallax identify` again")
         count = len(estimates)
-        chosen = [i for i, estimate in enumerate(estimates) if estimate["name"] in places]
+        wanted = None if nodes is None else set(nodes)
+        places = [_places(estimate, wanted) for estimate in estimates]
+        # What is solved for has no bounds, and goes with what was searched.
+        chosen = [i for i, estimate in enumerate(estimates) if places[i] and estimate["bounds"] is not None]
         if not chosen:
-            raise ValueError(f"{file} has no estimate of a parameter that {spec} names")
+            where = "" if wanted is None else f" of {', '.join(sorted(wanted))}"
+            raise ValueError(f"{file} has no estimate of a parameter{where}")
         covariance = np.asarray(found["covariance"], float).reshape(count, count)[np.ix_(chosen, chosen)]
         bounds = np.array([_bounds(estimates[i]) for i in chosen])
         mean = np.array([estimates[i]["value"] for i in chosen])
         factor = _determined(covariance, bounds[:, 1] - bounds[:, 0]) * widen
-        tied = tuple(tuple(places[estimates[i]["name"]]) for i in chosen)
+        tied = tuple(tuple(places[i]) for i in chosen)
         return cls(joint=[Joint(tied, mean, factor, bounds[:, 0], bounds[:, 1])])
 
 
@@ -179,17 +182,10 @@ def _ordered(low: float, high: float) -> None:
         raise ValueError(f"from {low} to {high}; the first must not be greater")
 
 
-def _places(spec: Path, nodes: set[str] | None) -> dict[str, list[str]]:
-    """What people call each parameter of an identify.toml, and the places that it sets."""
-    with spec.open("rb") as file:
-        content = tomllib.load(file)
-    result: dict[str, list[str]] = {}
-    for place, entry in content.get("parameters", {}).items():
-        own = [place, *entry.get("also", [])]
-        own = [each for each in own if nodes is None or each.split(".")[0] in nodes]
-        if own:
-            result[entry.get("name", place)] = own
-    return result
+def _places(estimate: Mapping[str, Any], nodes: set[str] | None) -> list[str]:
+    """The parameters that an estimate sets, `NODE.LEAF`."""
+    of_nodes = [place for place in estimate["places"] if "parameter" in place]
+    return [f"{p['node']}.{p['parameter']}" for p in of_nodes if nodes is None or p["node"] in nodes]
 
 
 def _bounds(estimate: Mapping[str, Any]) -> tuple[float, float]:

@@ -1,16 +1,19 @@
 //! Gauss–Newton models of the loss, with linear coefficients solved for and eliminated.
 
-use parallax_model::fit::Local;
 use parallax_model::fit::separable::{Sums, eliminate};
+use parallax_model::fit::{Local, View};
+use parallax_model::lanes::{Kernel, Level, Simd};
 use rayon::prelude::*;
 
-use super::traces::Trace;
+use super::stretch::{Stretch, Stretches};
+use super::traces::{Predicted, Trace};
 use super::{Evaluator, Fit, wrapped};
 use crate::batch::BatchError;
 use crate::identify::problem::Compared;
 
 impl Evaluator<'_> {
-    /// The losses with their Gauss–Newton models, linear coefficients eliminated, by exact derivatives.
+    /// The losses with their Gauss–Newton models, linear coefficients eliminated, by exact derivatives. Whole recordings
+    /// alone.
     ///
     /// # Errors
     ///
@@ -19,15 +22,18 @@ impl Evaluator<'_> {
         Ok(self.eliminated(&self.models(points, share)?))
     }
 
-    /// As [`exact_locals`](Self::exact_locals), by differences: a point and its neighbours run on lanes together, for a
-    /// tenth of the time. The derivatives are right to about five digits, which a search does not feel.
+    /// As [`exact_locals`](Self::exact_locals), by differences and in pieces as well: a point and its neighbours run on lanes
+    /// together, for a tenth of the time. The derivatives are right to about five digits, which a search does not feel.
     ///
     /// # Errors
     ///
     /// As [`exact_locals`](Self::exact_locals).
-    pub fn locals(&self, points: &[Vec<f64>], share: f64) -> Result<Vec<Local>, BatchError> {
-        let traces = self.differences(points, share)?;
-        Ok(self.eliminated(&self.models_of(traces, points, share)))
+    pub fn locals(&self, points: &[Vec<f64>], view: View) -> Result<Vec<Local>, BatchError> {
+        let stretches = self.stretches(view);
+        let linear: usize = self.problem.outputs.iter().map(|output| output.terms.len()).sum();
+        self.differences(points, &stretches, |traces, point| {
+            eliminate(&self.model(traces, point, &stretches).0, linear)
+        })
     }
 
     /// The losses with their Gauss–Newton models by coordinates and then linear coefficients, and the fits.
@@ -36,91 +42,50 @@ impl Evaluator<'_> {
         points: &[Vec<f64>],
         share: f64,
     ) -> Result<Vec<(Local, Fit)>, BatchError> {
-        Ok(self.models_of(self.traces(points, share)?, points, share))
-    }
-
-    fn models_of(&self, traces: Vec<Vec<Trace>>, points: &[Vec<f64>], share: f64) -> Vec<(Local, Fit)> {
-        traces.into_par_iter().zip(points).map(|(traces, point)| self.model(&traces, point, share)).collect()
+        let stretches = self.stretches(View::whole(share));
+        let traces = self.traces(points, &stretches)?;
+        let each = traces.par_iter().zip(points);
+        Ok(each.map(|(traces, point)| self.model(traces, point, &stretches)).collect())
     }
 
     fn eliminated(&self, models: &[(Local, Fit)]) -> Vec<Local> {
         let linear: usize = self.problem.outputs.iter().map(|output| output.terms.len()).sum();
-        models.iter().map(|(local, _)| eliminate(local, linear)).collect()
+        models.par_iter().map(|(local, _)| eliminate(local, linear)).collect()
     }
 
-    fn model(&self, traces: &[Trace], point: &[f64], share: f64) -> (Local, Fit) {
+    fn model(&self, traces: &[Trace<'_>], point: &[f64], stretches: &Stretches) -> (Local, Fit) {
         let problem = self.problem;
-        let n = problem.coordinates.len();
+        let n = self.width(stretches);
         let linear: usize = problem.outputs.iter().map(|output| output.terms.len()).sum();
         let all = n + linear;
         let mut total = Local::zero(all);
         let mut fit = Fit { coefficients: Vec::new(), squares: Vec::new(), samples: Vec::new() };
         let mut column = n;
-        for (output, trace) in problem.outputs.iter().zip(traces) {
-            let k = output.terms.len();
-            let coefficients = self.solve(output, trace, share);
-            let mut squares = 0.0;
-            let mut samples = 0;
-            // Only this output's own columns are touched: those of the coordinates and of its coefficients.
-            let width = n + k;
-            let mut row = vec![0.0; width];
-            let mut information = vec![0.0; width * width];
-            let mut gradient = vec![0.0; width];
-            for episode in 0..problem.episodes {
-                let (from, until) = (problem.spans[episode][0], problem.until(episode, share));
-                for (step, value) in output.values[episode].iter().enumerate() {
-                    if !output.counts(episode, step, from, until) {
-                        continue;
-                    }
-                    let at = step * trace.width;
-                    let terms = &trace.values[episode][at..at + trace.width];
-                    let slopes = &trace.slopes[episode][at * n..(at + trace.width) * n];
-                    let predicted = match k {
-                        0 => terms[0],
-                        _ => terms.iter().zip(&coefficients).map(|(x, c)| x * c).sum(),
-                    };
-                    let residual = wrapped(value - predicted, output.wrap);
-                    row.fill(0.0);
-                    for (term, slopes) in slopes.chunks_exact(n.max(1)).enumerate() {
-                        let coefficient = coefficients.get(term).copied().unwrap_or(1.0);
-                        for (entry, slope) in row.iter_mut().zip(slopes) {
-                            *entry -= coefficient * slope;
-                        }
-                    }
-                    for (entry, term) in row[n..].iter_mut().zip(terms) {
-                        *entry = -term;
-                    }
-                    for i in 0..width {
-                        let a = row[i];
-                        gradient[i] += a * residual;
-                        let to = &mut information[i * width..i * width + i + 1];
-                        to.iter_mut().zip(&row).for_each(|(to, b)| *to += a * b);
-                    }
-                    squares += residual * residual;
-                    samples += 1;
-                }
-            }
+        for (index, output) in problem.outputs.iter().enumerate() {
+            let coefficients = self.solve(index, traces, stretches);
+            let parts: Vec<Part> = traces
+                .par_iter()
+                .zip(&stretches.all)
+                .map(|(trace, stretch)| part(output, index, &coefficients, trace, stretch))
+                .collect();
+            let squares: f64 = parts.iter().map(|part| part.squares).sum();
+            let samples = parts.iter().map(|part| part.samples).sum();
             let weight = match output.noise {
                 Some(noise) => 1.0 / (noise * noise),
                 None => samples as f64 / squares.max(f64::MIN_POSITIVE),
             };
-            let place = |i: usize| if i < n { i } else { column + i - n };
-            for i in 0..width {
-                total.gradient[place(i)] += weight * gradient[i];
-                for j in 0..=i {
-                    let value = weight * information[i * width + j];
-                    total.information[place(i) * all + place(j)] += value;
-                    if i != j {
-                        total.information[place(j) * all + place(i)] += value;
-                    }
-                }
+            for (part, trace) in parts.iter().zip(traces) {
+                let w = trace.columns.len();
+                let place = |i: usize| if i < w { trace.columns[i] } else { column + i - w };
+                add(&mut total, &part.gradient, &part.information, weight, place);
             }
+            column += output.terms.len();
             fit.coefficients.push(coefficients);
             fit.squares.push(squares);
             fit.samples.push(samples);
-            column += k;
         }
-        total.cost = self.loss(&fit) + self.prior(point);
+        let gaps = self.gaps(traces, point, stretches, &mut total);
+        total.cost = self.loss(&fit) + self.prior(point) + gaps;
         for (i, (coordinate, z)) in problem.coordinates.iter().zip(point).enumerate() {
             if let Some((mean, std)) = coordinate.prior_of_place() {
                 total.information[i * all + i] += 1.0 / (std * std);
@@ -130,22 +95,128 @@ impl Evaluator<'_> {
         (total, fit)
     }
 
-    /// The best coefficients for a trace.
-    fn solve(&self, output: &Compared, trace: &Trace, share: f64) -> Vec<f64> {
-        let problem = self.problem;
+    /// What it costs that pieces do not begin where those before them end, put into the model as well.
+    fn gaps(&self, traces: &[Trace<'_>], point: &[f64], stretches: &Stretches, total: &mut Local) -> f64 {
+        let weight = stretches.tightness * stretches.tightness;
+        let mut cost = 0.0;
+        for (index, stretch) in stretches.all.iter().enumerate() {
+            let Some(first) = self.first_of(stretches, stretch) else { continue };
+            let before = &traces[index - 1];
+            let w = before.columns.len();
+            for (leaf, end) in before.end.iter().enumerate() {
+                let gap = end - point[first + leaf];
+                cost += weight * gap * gap;
+                let mut row = before.end_slopes[leaf * w..(leaf + 1) * w].to_vec();
+                row.push(-1.0);
+                let gradient: Vec<f64> = row.iter().map(|a| a * gap).collect();
+                let information: Vec<f64> = row.iter().flat_map(|a| row.iter().map(move |b| a * b)).collect();
+                let place = |i: usize| if i < w { before.columns[i] } else { first + leaf };
+                add(total, &gradient, &information, weight, place);
+            }
+        }
+        cost
+    }
+
+    /// The best coefficients of an output.
+    fn solve(&self, index: usize, traces: &[Trace<'_>], stretches: &Stretches) -> Vec<f64> {
+        let output = &self.problem.outputs[index];
         let mut sums = Sums::new(output.terms.len());
         if output.terms.is_empty() {
             return Vec::new();
         }
-        for episode in 0..problem.episodes {
-            let (from, until) = (problem.spans[episode][0], problem.until(episode, share));
-            for (step, value) in output.values[episode].iter().enumerate() {
-                if output.counts(episode, step, from, until) {
-                    let at = step * trace.width;
-                    sums.add(&trace.values[episode][at..at + trace.width], *value);
+        for (trace, stretch) in traces.iter().zip(&stretches.all) {
+            let Predicted { width, values, .. } = &trace.outputs[index];
+            let recorded = &output.values[stretch.episode][stretch.steps[index].clone()];
+            for (terms, value) in values.chunks_exact(*width).zip(recorded) {
+                if value.is_finite() {
+                    sums.add(terms, value - output.centre);
                 }
             }
         }
-        sums.solve().0
+        let (mut coefficients, _) = sums.solve();
+        output.uncentre(&mut coefficients);
+        coefficients
+    }
+}
+
+/// What a stretch adds to the model, by the numbers that it feels and then the output's coefficients; of the information the
+/// lower half.
+struct Part {
+    gradient: Vec<f64>,
+    information: Vec<f64>,
+    squares: f64,
+    samples: usize,
+}
+
+fn part(output: &Compared, index: usize, coefficients: &[f64], trace: &Trace<'_>, stretch: &Stretch) -> Part {
+    let (w, k) = (trace.columns.len(), coefficients.len());
+    let width = w + k;
+    let mut part =
+        Part { gradient: vec![0.0; width], information: vec![0.0; width * width], squares: 0.0, samples: 0 };
+    let predicted = &trace.outputs[index];
+    let recorded = &output.values[stretch.episode][stretch.steps[index].clone()];
+    let mut rows = vec![0.0; width * recorded.len()];
+    predicted.derive(coefficients, &mut rows, width);
+    let steps = predicted.values.chunks_exact(predicted.width).zip(rows.chunks_exact_mut(width));
+    for ((terms, row), value) in steps.zip(recorded) {
+        if !value.is_finite() {
+            continue;
+        }
+        let prediction = match k {
+            0 => terms[0],
+            _ => terms.iter().zip(coefficients).map(|(x, c)| x * c).sum(),
+        };
+        let residual = wrapped(value - prediction, output.wrap);
+        row[w..].copy_from_slice(if k == 0 { &[] } else { terms });
+        // The rows are derivatives of the prediction; the residual's have the other sign.
+        Level::widest().run(Outer { row, residual: -residual, part: &mut part });
+        part.squares += residual * residual;
+        part.samples += 1;
+    }
+    part
+}
+
+/// Adds a row times itself, and times its residual.
+struct Outer<'a> {
+    row: &'a [f64],
+    residual: f64,
+    part: &'a mut Part,
+}
+
+impl Kernel for Outer<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self) {
+        let Self { row, residual, part } = self;
+        for (i, (a, to)) in row.iter().zip(part.information.chunks_exact_mut(row.len())).enumerate() {
+            for (to, b) in to[..i + 1].iter_mut().zip(row) {
+                *to += a * b;
+            }
+        }
+        for (to, a) in part.gradient.iter_mut().zip(row) {
+            *to += a * residual;
+        }
+    }
+}
+
+/// Adds the lower half of a part's information, and its gradient, times `weight`, where `place` says.
+fn add(
+    total: &mut Local,
+    gradient: &[f64],
+    information: &[f64],
+    weight: f64,
+    place: impl Fn(usize) -> usize,
+) {
+    let (width, all) = (gradient.len(), total.gradient.len());
+    for i in 0..width {
+        total.gradient[place(i)] += weight * gradient[i];
+        for j in 0..=i {
+            let value = weight * information[i * width + j];
+            total.information[place(i) * all + place(j)] += value;
+            if i != j {
+                total.information[place(j) * all + place(i)] += value;
+            }
+        }
     }
 }

@@ -1,0 +1,384 @@
+//! Hidden delays that are another one for every message: their mean with everything else, and their spread.
+//!
+//! A reading that is late by a little more than the mean shows the machine a little earlier: where the prediction changes fast,
+//! readings scatter more than their noise, and all outputs of one message together. To second order in the delay's deviation δ,
+//!
+//! ```text
+//! y = ŷ(μ) + ŷ′ δ + ½ ŷ″ δ² + noise,    E y = ŷ + ½ ŷ″ s²,    cov y = σ² + s² ŷ′ ŷ′ᵀ
+//! ```
+//!
+//! so that −2 log likelihood is Σ rᵀV⁻¹r + log |V| with V the covariance of each message. Gauss and Newton's method moves
+//! what the mean depends on under these weights, Fisher's scoring the variances in turn (both steps are those of one Fisher
+//! scoring: the information has no cross terms between mean and covariance where V changes slowly with the former). What a
+//! constant delay would call noise is thus told apart from it: by when it is there.
+
+use nalgebra::{DMatrix, DVector};
+use parallax_model::fit::separable::eliminate;
+use parallax_model::fit::{Best, Bounds, Local, View, bounded_step};
+
+use super::stretch::Stretches;
+use super::traces::Trace;
+use super::{Evaluator, wrapped};
+use crate::batch::BatchError;
+
+/// How far the delay is moved for the second derivative, s.
+const MOVED: f64 = 5e-4;
+/// Most steps.
+const STEPS: usize = 30;
+/// It has converged when a step promises less of −2 log likelihood, …
+const SETTLED: f64 = 1e-3;
+/// … and variances change by less than this share.
+const STEADY: f64 = 1e-3;
+/// −2 log likelihood may rise by so much in a step.
+const TOLERATED: f64 = 3.0;
+
+/// Spreads that were found, at the best point under them.
+#[derive(Debug, Clone)]
+pub(in crate::identify) struct Scattered {
+    /// The best point.
+    pub(in crate::identify) best: Best,
+    /// The model there, by coordinates and then linear coefficients.
+    pub(in crate::identify) local: Local,
+    /// Linear coefficients, per output.
+    pub(in crate::identify) coefficients: Vec<Vec<f64>>,
+    /// Per delay that scatters: its spread, s, and the standard deviation of its square, s².
+    pub(in crate::identify) spreads: Vec<(f64, f64)>,
+}
+
+/// What is known of variances.
+#[derive(Debug, Clone)]
+struct Variances {
+    /// Per delay that scatters, s².
+    delays: Vec<f64>,
+    /// Per output.
+    noise: Vec<f64>,
+}
+
+impl Variances {
+    /// The largest share by which one differs from that of another time.
+    fn differ(&self, other: &Variances) -> f64 {
+        let pairs = self.delays.iter().zip(&other.delays).chain(self.noise.iter().zip(&other.noise));
+        pairs.map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f64::max)
+    }
+}
+
+/// Everything at one point under some variances.
+struct Seen {
+    local: Local,
+    coefficients: Vec<Vec<f64>>,
+    /// Scores and information of the variances: delays, then outputs.
+    score: Vec<f64>,
+    information: DMatrix<f64>,
+}
+
+/// One message's outputs: which, and where in their lists.
+struct Message<'p> {
+    outputs: &'p [usize],
+    episode: usize,
+    step: usize,
+}
+
+impl Evaluator<'_> {
+    /// The best point from `best` on, with the spreads of the delays that scatter.
+    ///
+    /// # Errors
+    ///
+    /// [`BatchError`] where the points cannot be put into the graph.
+    pub(in crate::identify) fn scattered(&self, best: &Best) -> Result<Scattered, BatchError> {
+        let problem = self.problem;
+        let bounds = Bounds::unit(best.point.len());
+        let ones = vec![1.0; best.point.len()];
+        let (fits, _) =
+            self.fits::<parallax_model::lanes::F64x16>(std::slice::from_ref(&best.point), View::whole(1.0))?;
+        let deviation = |index: usize| {
+            let (squares, samples) = (fits[0].squares[index], fits[0].samples[index].max(1) as f64);
+            (squares / samples).max(f64::MIN_POSITIVE)
+        };
+        let outputs = problem.outputs.iter().enumerate();
+        let noise = outputs.map(|(index, output)| match output.noise {
+            Some(noise) => noise * noise,
+            // Half of what is left, to begin with.
+            None => 0.5 * deviation(index),
+        });
+        let begin = |&delay: &usize| {
+            let coordinate = &problem.coordinates[delay];
+            (0.05 * (coordinate.high - coordinate.low)).powi(2)
+        };
+        let mut variances =
+            Variances { delays: problem.scattered.iter().map(begin).collect(), noise: noise.collect() };
+        let mut point = best.point.clone();
+        let mut now = self.seen(&point, &variances, &fits[0].coefficients)?;
+        let mut damping = 1e-9;
+        for _ in 0..STEPS {
+            let declared = problem.outputs.iter().map(|output| output.noise.is_some());
+            let next = now.variances(&variances, declared);
+            let linear = now.local.gradient.len() - point.len();
+            let model = eliminate(&now.local, linear);
+            let n = point.len();
+            let step = bounded_step(
+                [bounds.low(), bounds.high(), &ones],
+                &point,
+                &DMatrix::from_row_slice(n, n, &model.information),
+                &DVector::from_row_slice(&model.gradient),
+                damping,
+            );
+            let step = step.unwrap_or_else(|| vec![0.0; n]);
+            let promised: f64 = step.iter().zip(&model.gradient).map(|(by, slope)| -by * slope).sum();
+            if promised < SETTLED && next.differ(&variances) < STEADY {
+                break;
+            }
+            let mut trial: Vec<f64> = point.iter().zip(&step).map(|(z, by)| z + by).collect();
+            bounds.clamp(&mut trial);
+            let seen = self.seen(&trial, &next, &now.coefficients)?;
+            // The steps solve for the mean under given weights; how these change with it is left out, and so the likelihood
+            // need not rise at every step.
+            if seen.local.cost.is_finite() && seen.local.cost < now.local.cost + TOLERATED {
+                (point, variances, now) = (trial, next, seen);
+                damping = (damping * 0.1).max(1e-9);
+            } else if damping > 1e6 {
+                break;
+            } else {
+                damping = (damping * 100.0).max(1e-4);
+            }
+        }
+        let covariance = now.covariance();
+        let spreads =
+            variances.delays.iter().enumerate().map(|(j, v)| (v.sqrt(), covariance[(j, j)].max(0.0).sqrt()));
+        Ok(Scattered {
+            best: Best { point, loss: now.local.cost },
+            spreads: spreads.collect(),
+            coefficients: now.coefficients,
+            local: now.local,
+        })
+    }
+
+    /// The model at one point under these variances; the linear coefficients are those that suit best.
+    fn seen(
+        &self,
+        point: &[f64],
+        variances: &Variances,
+        coefficients: &[Vec<f64>],
+    ) -> Result<Seen, BatchError> {
+        let problem = self.problem;
+        let stretches = self.stretches(View::whole(1.0));
+        // The point itself, and for each delay three points in a row for the curvature.
+        let mut points = vec![point.to_vec()];
+        let mut moves = Vec::new();
+        for &delay in &problem.scattered {
+            let coordinate = &problem.coordinates[delay];
+            let h = MOVED / (coordinate.high - coordinate.low);
+            let middle = point[delay].clamp(h.min(0.5), 1.0 - h.min(0.5));
+            for by in [-h, 0.0, h] {
+                let mut moved = point.to_vec();
+                moved[delay] = middle + by;
+                points.push(moved);
+            }
+            moves.push(h);
+        }
+        let mut traces = self.traces(&points, &stretches)?;
+        let others = traces.split_off(1);
+        let mut traces = traces.pop().unwrap_or_default();
+        // E y: half the variance times the second derivative is added to every term.
+        for (j, h) in moves.iter().enumerate() {
+            let coordinate = &problem.coordinates[problem.scattered[j]];
+            // The variance of the coordinate, whose unit is the width of its bounds.
+            let variance = variances.delays[j] / (coordinate.high - coordinate.low).powi(2);
+            for (episode, trace) in traces.iter_mut().enumerate() {
+                let [low, middle, high] = [0, 1, 2].map(|k| &others[3 * j + k][episode].outputs);
+                for (index, output) in trace.outputs.iter_mut().enumerate() {
+                    for (at, value) in output.values.iter_mut().enumerate() {
+                        let [a, b, c] = [low, middle, high].map(|outputs| outputs[index].values[at]);
+                        *value += 0.5 * variance * (a - 2.0 * b + c) / (h * h);
+                    }
+                }
+            }
+        }
+        // The covariance depends on the coefficients, and they on it: twice is enough.
+        let first = self.whitened(&traces, &stretches, point, variances, coefficients);
+        let step = first.linear_step(point.len());
+        let mut coefficients = coefficients.to_vec();
+        for (coefficient, by) in coefficients.iter_mut().flatten().zip(step) {
+            *coefficient += by;
+        }
+        Ok(self.whitened(&traces, &stretches, point, variances, &coefficients))
+    }
+
+    /// The messages that are compared, each with all its outputs.
+    fn messages<'s>(&'s self, stretches: &'s Stretches) -> impl Iterator<Item = Message<'s>> {
+        let nodes = self.of_node.iter().filter(|outputs| !outputs.is_empty());
+        nodes.flat_map(move |outputs| {
+            stretches.all.iter().flat_map(move |stretch| {
+                let steps = stretch.steps[outputs[0]].clone();
+                steps.map(move |step| Message { outputs, episode: stretch.episode, step })
+            })
+        })
+    }
+
+    fn whitened(
+        &self,
+        traces: &[Trace<'_>],
+        stretches: &Stretches,
+        point: &[f64],
+        variances: &Variances,
+        coefficients: &[Vec<f64>],
+    ) -> Seen {
+        let problem = self.problem;
+        let n = point.len();
+        let linear: usize = problem.outputs.iter().map(|output| output.terms.len()).sum();
+        let all = n + linear;
+        let (delays, outputs) = (problem.scattered.len(), problem.outputs.len());
+        let mut local = Local::zero(all);
+        let mut score = vec![0.0; delays + outputs];
+        let mut information = DMatrix::zeros(delays + outputs, delays + outputs);
+        // Where an output's coefficients begin.
+        let mut columns = Vec::with_capacity(outputs);
+        let mut column = n;
+        for output in &problem.outputs {
+            columns.push(column);
+            column += output.terms.len();
+        }
+        // Derivatives of the predictions, `[episode][output]`: rows of n.
+        let slopes: Vec<Vec<Vec<f64>>> = traces
+            .iter()
+            .map(|trace| {
+                let of = |(index, predicted): (usize, &super::traces::Predicted<'_>)| {
+                    let mut rows = vec![0.0; n * predicted.values.len() / predicted.width];
+                    predicted.derive(&coefficients[index], &mut rows, n);
+                    rows
+                };
+                trace.outputs.iter().enumerate().map(of).collect()
+            })
+            .collect();
+        for Message { outputs: own, episode, step } in self.messages(stretches) {
+            let recorded = |index: usize| problem.outputs[index].values[episode][step];
+            let present: Vec<usize> =
+                own.iter().copied().filter(|&index| recorded(index).is_finite()).collect();
+            if present.is_empty() {
+                continue;
+            }
+            let size = present.len();
+            let mut rows = DMatrix::<f64>::zeros(size, all + 1);
+            let mut towards = DMatrix::<f64>::zeros(size, delays);
+            for (k, &index) in present.iter().enumerate() {
+                let (output, predicted) = (&problem.outputs[index], &traces[episode].outputs[index]);
+                let at = step - stretches.all[episode].steps[index].start;
+                let terms = &predicted.values[at * predicted.width..(at + 1) * predicted.width];
+                let own = &coefficients[index];
+                let prediction = match own.as_slice() {
+                    [] => terms[0],
+                    own => terms.iter().zip(own).map(|(term, c)| term * c).sum(),
+                };
+                let slopes = &slopes[episode][index][at * n..(at + 1) * n];
+                for (i, slope) in slopes.iter().enumerate() {
+                    rows[(k, i)] = *slope;
+                }
+                for (i, term) in terms.iter().take(own.len()).enumerate() {
+                    rows[(k, columns[index] + i)] = *term;
+                }
+                rows[(k, all)] = wrapped(recorded(index) - prediction, output.wrap);
+                for (j, &delay) in problem.scattered.iter().enumerate() {
+                    let coordinate = &problem.coordinates[delay];
+                    towards[(k, j)] = slopes[delay] / (coordinate.high - coordinate.low);
+                }
+            }
+            let mut covariance = DMatrix::from_diagonal(&DVector::from_iterator(
+                size,
+                present.iter().map(|&index| variances.noise[index]),
+            ));
+            for (j, variance) in variances.delays.iter().enumerate() {
+                covariance += towards.column(j) * towards.column(j).transpose() * *variance;
+            }
+            let Some(factor) = covariance.cholesky() else {
+                local.cost = f64::NAN;
+                continue;
+            };
+            let residual: DVector<f64> = rows.column(all).into_owned();
+            let weighted = factor.solve(&residual);
+            let inverse = factor.inverse();
+            local.cost += residual.dot(&weighted) + 2.0 * factor.l_dirty().diagonal().map(f64::ln).sum();
+            // L⁻¹ of the rows: their products are the information.
+            let white = factor.l().solve_lower_triangular(&rows).unwrap_or(rows);
+            for k in 0..size {
+                for i in 0..all {
+                    let a = white[(k, i)];
+                    if a == 0.0 {
+                        continue;
+                    }
+                    local.gradient[i] -= a * white[(k, all)];
+                    for j in 0..=i {
+                        local.information[i * all + j] += a * white[(k, j)];
+                    }
+                }
+            }
+            // d V by a delay's variance is g gᵀ, by a noise's a one on the diagonal.
+            let through = &inverse * &towards;
+            let place = |k: usize| delays + present[k];
+            for j in 0..delays {
+                let along = towards.column(j).dot(&weighted);
+                score[j] += along * along - towards.column(j).dot(&through.column(j));
+                for l in 0..delays {
+                    information[(j, l)] += towards.column(j).dot(&through.column(l)).powi(2);
+                }
+                for k in 0..size {
+                    let cross = through[(k, j)].powi(2);
+                    information[(j, place(k))] += cross;
+                    information[(place(k), j)] += cross;
+                }
+            }
+            for k in 0..size {
+                score[place(k)] += weighted[k].powi(2) - inverse[(k, k)];
+                for l in 0..size {
+                    information[(place(k), place(l))] += inverse[(k, l)].powi(2);
+                }
+            }
+        }
+        for i in 0..all {
+            for j in 0..i {
+                local.information[j * all + i] = local.information[i * all + j];
+            }
+        }
+        local.cost += self.prior(point);
+        for (i, (coordinate, z)) in problem.coordinates.iter().zip(point).enumerate() {
+            if let Some((mean, std)) = coordinate.prior_of_place() {
+                local.information[i * all + i] += 1.0 / (std * std);
+                local.gradient[i] += (z - mean) / (std * std);
+            }
+        }
+        let declared: Vec<bool> = problem.outputs.iter().map(|output| output.noise.is_some()).collect();
+        // What is declared is not estimated.
+        for (k, _) in declared.iter().enumerate().filter(|(_, declared)| **declared) {
+            let k = delays + k;
+            score[k] = 0.0;
+            information.row_mut(k).fill(0.0);
+            information.column_mut(k).fill(0.0);
+            information[(k, k)] = 1.0;
+        }
+        Seen { local, coefficients: coefficients.to_vec(), score, information }
+    }
+}
+
+impl Seen {
+    /// The covariance of the variances: the information is half of what is summed up.
+    fn covariance(&self) -> DMatrix<f64> {
+        2.0 * parallax_model::fit::separable::pseudo_inverse(&self.information)
+    }
+
+    /// The next variances, none less than a fifth or more than five times of what it was.
+    fn variances(&self, now: &Variances, declared: impl Iterator<Item = bool>) -> Variances {
+        let step = 0.5 * self.covariance() * DVector::from_row_slice(&self.score);
+        let within = |value: f64, by: f64| (value + by).clamp(0.2 * value, 5.0 * value);
+        let delays = now.delays.iter().zip(step.iter()).map(|(value, by)| within(*value, *by));
+        let noise = now.noise.iter().zip(step.iter().skip(now.delays.len())).zip(declared);
+        let noise = noise.map(|((value, by), declared)| if declared { *value } else { within(*value, *by) });
+        Variances { delays: delays.collect(), noise: noise.collect() }
+    }
+
+    /// Where the linear coefficients, the last of the model, are best.
+    fn linear_step(&self, n: usize) -> Vec<f64> {
+        let all = self.local.gradient.len();
+        let inner = DMatrix::from_fn(all - n, all - n, |i, j| self.local.information[(n + i) * all + n + j]);
+        let gradient = DVector::from_iterator(all - n, self.local.gradient[n..].iter().copied());
+        let step = parallax_model::fit::separable::pseudo_inverse(&inner) * gradient;
+        step.iter().map(|by| -by).collect()
+    }
+}
