@@ -1,7 +1,7 @@
 //! The pendulum as a simulator for identification: smooth in everything that a fit moves, delays included.
 //!
 //! Message k is the state at tick k. A step brings it there from the tick before, under the commands at the times at which
-//! they were received, not at ticks, as straight [lines](crate::line). So predictions change smoothly with a delay of the
+//! they were received, not at ticks, as straight lines. So predictions change smoothly with a delay of the
 //! commands, and exact derivatives by it exist. Dry friction is resolved within the step: the
 //! shaft slides, comes to rest, and stays there or turns back. Integrating `sign θ̇` instead would be wrong by a step's
 //! impulse at every reversal, and its derivative would know nothing of reversals.

@@ -1,7 +1,7 @@
 //! The quadrotor as a simulator for identification: smooth in everything that a fit moves, delays included.
 //!
 //! Message k is the state at tick k. A step brings it there from the tick before, under the commands at the times at which
-//! they were received, as straight [lines](crate::line).
+//! they were received, as straight lines.
 
 use parallax_model::node_model::{NodeModel, NodeStep};
 use parallax_model::{Scalar, Tree};
