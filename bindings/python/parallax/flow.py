@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from . import _native
@@ -59,7 +60,7 @@ class DataFlow:
         spec, _ = assembled(supervisor, members, self.graph.spec["name"], beginnings(members, 0))
         before = {node["name"]: node for node in self.graph.spec["node"]}
         known = [_edge(edge) for edge in self.graph.spec["connection"]]
-        phases = {node["name"]: node["phase"] for node in _native.Graph(json.dumps(spec), "json", []).nodes()}
+        phases = {node["name"]: node["phase"] for node in _native.Graph(json.dumps(spec), "json", [], Path()).nodes()}
         changes = {
             "dropped": [name for name in before if name not in members],
             "recast": [node for node in spec["node"] if node["name"] in before and _other(node, before[node["name"]])],
