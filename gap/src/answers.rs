@@ -1,6 +1,6 @@
 //! The answers as the report states them: effects with their parameters, classes with their probabilities, places.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use parallax_model::effect::{Effect, Place, PlaceKind};
 use parallax_model::system::EffectEntry;
@@ -106,18 +106,22 @@ pub(crate) fn which(
     out
 }
 
-/// Places by probability.
+/// Places by the probability that something of the cause acts there, with what the best single effect there closes.
 pub(crate) fn places(posterior: &posterior::Posterior, readings: &[ReadingEffect]) -> Vec<Where> {
     let mut by_place: BTreeMap<String, Where> = BTreeMap::new();
     for answer in &posterior.answers {
-        for (member, probability, share) in &answer.members {
-            let entry = by_place.entry(member.place.to_string()).or_insert_with(|| Where {
-                place: member.place.to_string(),
-                share: 0.0,
-                probability: 0.0,
-            });
-            entry.share = entry.share.max(*share);
-            entry.probability += probability;
+        for (effects, probability, share) in &answer.members {
+            let places: BTreeSet<String> = effects.iter().map(|at| at.place.to_string()).collect();
+            let alone = places.len() == 1;
+            for place in places {
+                let entry = by_place.entry(place).or_insert_with_key(|place| Where {
+                    place: place.clone(),
+                    share: 0.0,
+                    probability: 0.0,
+                });
+                entry.share = entry.share.max(if alone { *share } else { 0.0 });
+                entry.probability += probability;
+            }
         }
     }
     for reading in readings {

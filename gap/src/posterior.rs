@@ -48,8 +48,8 @@ pub struct Answer {
     pub alike: Vec<Fit>,
     /// Labels of the class, the leader first.
     pub class: Vec<String>,
-    /// Members of the class with their probability and the share of the training gap that each closes.
-    pub members: Vec<(EffectAt, f64, f64)>,
+    /// Effects of each member of the class, with its probability and the share of the training gap that it closes.
+    pub members: Vec<(Vec<EffectAt>, f64, f64)>,
     /// Probability of the class.
     pub probability: f64,
     /// Natural logarithms of prior times tempered evidence, in the order of the class.
@@ -246,10 +246,7 @@ pub fn weigh(
             taken[k] = true;
         }
         lead_with_the_simplest(&mut class, &fits, &judge, &|fit| beyond_its_range(setup, fit));
-        let members = class.iter().filter_map(|&k| {
-            let at = fits[k].hypothesis.effects.first()?;
-            Some((at.clone(), 0.0, share(&fits[k])))
-        });
+        let members = class.iter().map(|&k| (fits[k].hypothesis.effects.clone(), 0.0, share(&fits[k])));
         answers.push(Answer {
             fit: fits[class[0]].clone(),
             alike: class[1..].iter().map(|&k| fits[k].clone()).collect(),

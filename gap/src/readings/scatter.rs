@@ -23,7 +23,7 @@ use crate::report::Value;
 use crate::search::Fit;
 use crate::setup::Setup;
 use crate::simulator::wrapped;
-use crate::statistics::{median, root_mean_square};
+use crate::statistics::root_mean_square;
 
 /// Correlation of successive innovations up to which they count as free of a wrong mean.
 const WHITE: f64 = 0.25;
@@ -132,14 +132,12 @@ pub(super) fn times_scatter(setup: &Setup, fit: &Fit, output: usize) -> bool {
 }
 
 /// The noise of one output's readings (standard deviation) where their times scatter by `spread` (s): what scatter leaves
-/// of the innovations.
+/// of the innovations, of which it has the share that it was thought to have without.
 pub(crate) fn noise_beside(setup: &Setup, fit: &Fit, output: usize, spread: f64) -> Option<f64> {
     let noise = open_noise(setup, fit);
     let pass = pass(setup, fit, &noise, &setup.train);
     let floor = of_reading(setup, &pass, &noise, output)?.floor(spread);
-    let own = (0..pass.readings()).filter(|k| pass.output[*k] == output);
-    let variance = median(&mut own.map(|k| pass.variance[k]).collect::<Vec<_>>());
-    Some(floor * variance.sqrt())
+    Some(floor * (0.5 * noise.log_output[output]).exp())
 }
 
 /// What commands that scatter so do to predictions over the horizon on held-out time: the mean square of the change, in
