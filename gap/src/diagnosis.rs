@@ -291,7 +291,7 @@ fn conclude(title: &str, options: &Options, found: Found, lost: Option<LostComma
             with_best = Some(with);
             break;
         }
-        answers.refute(&null);
+        answers.refute(setup, &null);
     }
     let named = answers.names();
     let best = &answers.leader(&null).clone();

@@ -29,6 +29,8 @@ pub enum Fate {
     Alike,
     /// Another answer is more probable.
     Loses,
+    /// It led, but with it held-out time is certainly predicted worse than without any effect.
+    Refuted,
     /// A calibrated parameter does the same.
     Absorbed {
         /// The parameter.
@@ -110,7 +112,7 @@ pub fn explain(evidence: &Evidence<'_>, patterns: &[Pattern]) -> Vec<Explanation
     let fits = |at: &EffectAt| patterns.iter().any(|pattern| pattern.fits(at));
     let winner = posterior.leader(null);
     let mut fitted: Vec<(&Fit, Fate)> = Vec::new();
-    for (index, answer) in posterior.answers.iter().enumerate() {
+    for (index, answer) in posterior.answers.iter().chain(&posterior.refuted).enumerate() {
         let members = [&answer.fit].into_iter().chain(&answer.alike);
         for (member, fit) in members.enumerate() {
             // Of the sums that were tried, only those that are the answer say something of an effect.
@@ -119,6 +121,7 @@ pub fn explain(evidence: &Evidence<'_>, patterns: &[Pattern]) -> Vec<Explanation
                 let fate = match (index, member) {
                     (0, 0) => Fate::Leads,
                     (0, _) => Fate::Alike,
+                    (index, _) if index >= posterior.answers.len() => Fate::Refuted,
                     _ => Fate::Loses,
                 };
                 fitted.push((fit, fate));
@@ -287,6 +290,12 @@ impl fmt::Display for Explanation {
                 )?;
             }
             Fate::Loses => writeln!(f, "{effect} loses to {winner}")?,
+            Fate::Refuted => {
+                writeln!(
+                    f,
+                    "{effect} is left out: with it held-out time is predicted worse than without any effect"
+                )?;
+            }
             Fate::Absorbed { by } => {
                 writeln!(f, "{effect} is not fitted: the calibrated parameter `{by}` does the same here")?;
             }

@@ -61,6 +61,8 @@ pub struct Answer {
 pub struct Posterior {
     /// Classes of single effects.
     pub answers: Vec<Answer>,
+    /// Answers that led and were left out.
+    pub refuted: Vec<Answer>,
     /// Probability that there is no gap.
     pub no_gap: f64,
     /// Probability that no named effect belongs to the cause.
@@ -103,18 +105,26 @@ impl Posterior {
 
     /// Leaves out the leading answer, which makes predictions of held-out time worse: whatever the evidence says of how the
     /// data differ from the model, the model with it is no nearer to the machine.
-    pub fn refute(&mut self, null: &Fit) {
+    pub fn refute(&mut self, setup: &Setup, null: &Fit) {
         if self.answers.is_empty() {
             return;
         }
-        self.answers.remove(0);
-        let best = self.answers.first().map(|answer| {
-            let member = (0..answer.logs.len()).max_by(|a, b| answer.logs[*a].total_cmp(&answer.logs[*b]));
-            let member = member.unwrap_or(0);
-            let fit = member.checked_sub(1).map_or(&answer.fit, |other| &answer.alike[other]);
-            (fit.clone(), answer.logs[member])
-        });
-        self.settle(best.as_ref().map(|(fit, log)| (fit, *log)), null);
+        self.refuted.push(self.answers.remove(0));
+        self.residual_on_leader = None;
+        let Some(leader) = self.answers.first_mut() else {
+            self.settle(None, null);
+            return;
+        };
+        let member = (0..leader.logs.len()).max_by(|a, b| leader.logs[*a].total_cmp(&leader.logs[*b]));
+        let member = member.unwrap_or(0);
+        let best = member.checked_sub(1).map_or(&leader.fit, |other| &leader.alike[other]).clone();
+        if let Some(together) = residual_on(setup, null, &best, &self.judge, &|| ()) {
+            let gain = 0.5 * (self.judge.cost(&best) - self.judge.cost(&together)) / TEMPERATURE;
+            leader.logs[member] += (gain + PRIOR_UNKNOWN.ln()).max(0.0);
+            self.residual_on_leader = Some(together).filter(|_| gain > 0.0);
+        }
+        let log = leader.logs[member];
+        self.settle(Some((&best, log)), null);
     }
 
     /// Probabilities from the weights; `best` is the best fit with its weight. Gives the weight of all that is a gap.
@@ -189,25 +199,9 @@ pub fn weigh(
     let each = (1.0 - PRIOR_NO_GAP - PRIOR_UNKNOWN) / fits.iter().map(weight).sum::<f64>().max(1e-300);
 
     // The unknowns stand alone and on top of the leading effect: if the effect adds nothing to them, it is no cause.
-    let kinds =
-        || unknown::kinds(setup).into_par_iter().filter(|_| !setup.stop.leaves_out(|| UNKNOWN.into()));
-    let alone: Vec<Fit> = kinds()
-        .map(|kind| {
-            let fit = unknown::fit_unknown(setup, null, null, unknown::choose(setup, null, null, kind));
-            done("unknown cause");
-            fit
-        })
-        .collect();
-    let together: Vec<Fit> = kinds()
-        .filter_map(|kind| fits.first().map(|best| (kind, best)))
-        .map(|(kind, best)| {
-            let fit = unknown::fit_unknown(setup, null, best, unknown::choose(setup, null, best, kind));
-            done("unknown beside the leading cause");
-            fit
-        })
-        .collect();
-    let least = |fits: Vec<Fit>| fits.into_iter().min_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
-    let (alone, together) = (least(alone), least(together));
+    let alone = residual_on(setup, null, null, &judge, &|| done("unknown cause"));
+    let beside = || done("unknown beside the leading cause");
+    let together = fits.first().and_then(|best| residual_on(setup, null, best, &judge, &beside));
 
     let log_weight =
         |fit: &Fit, prior: f64| -0.5 * (judge.cost(fit) - judge.cost(null)) / TEMPERATURE + prior.ln();
@@ -258,6 +252,7 @@ pub fn weigh(
     }
     let mut posterior = Posterior {
         answers,
+        refuted: Vec::new(),
         no_gap: 0.0,
         unexplained: 0.0,
         log_evidence: 0.0,
@@ -270,6 +265,26 @@ pub fn weigh(
     let of_a_gap = posterior.settle(fits.first().zip(logs.first().copied()), null);
     posterior.log_evidence = of_a_gap - (1.0 - PRIOR_NO_GAP).ln();
     posterior
+}
+
+/// The likeliest residual on top of the effects of `base`; `done` is called after each kind of them.
+fn residual_on(
+    setup: &Setup,
+    null: &Fit,
+    base: &Fit,
+    judge: &Judge,
+    done: &(dyn Fn() + Sync),
+) -> Option<Fit> {
+    let fits: Vec<Fit> = unknown::kinds(setup)
+        .into_par_iter()
+        .filter(|_| !setup.stop.leaves_out(|| UNKNOWN.into()))
+        .map(|kind| {
+            let fit = unknown::fit_unknown(setup, null, base, unknown::choose(setup, null, base, kind));
+            done();
+            fit
+        })
+        .collect();
+    fits.into_iter().min_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)))
 }
 
 /// The share of the `named` answers' probability that goes to none of them where the `first`, whose probability stays

@@ -21,6 +21,9 @@ fn entry(explanation: &Explanation) -> String {
         Fate::Leads => "is the answer.".to_owned(),
         Fate::Alike => format!("belongs to the answer's class: this data cannot tell it from {winner}."),
         Fate::Loses => format!("loses to {winner}."),
+        Fate::Refuted => {
+            "is left out: with it held-out time is predicted worse than without any effect.".to_owned()
+        }
         Fate::Absorbed { by } => {
             format!("is not fitted: the calibrated parameter <code>{}</code> does the same here.", escape(by))
         }

@@ -334,10 +334,16 @@ fn remarks(estimates: &[Estimate], involved: &[usize], combinations: &[Combinati
         remarks.push(format!("the data do not determine {} by themselves", states.join(", ")));
     }
     for estimate in estimates.iter().filter(|estimate| estimate.at_bound && estimate.std.is_some()) {
-        remarks.push(format!(
-            "`{}` ended at its bound {:.6}: widen the bounds, or take it as fixed",
-            estimate.name, estimate.value
-        ));
+        // A delay or a spread cannot be less than nothing: there is no bound to widen.
+        let nothing = matches!(estimate.sort, Sort::Delay | Sort::Spread) && estimate.value.abs() < 1e-9;
+        remarks.push(if nothing {
+            format!("`{}` ended at zero: the recordings show none", estimate.name)
+        } else {
+            format!(
+                "`{}` ended at its bound {:.6}: widen the bounds, or take it as fixed",
+                estimate.name, estimate.value
+            )
+        });
     }
     remarks
 }
