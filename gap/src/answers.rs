@@ -10,7 +10,7 @@ use crate::library;
 use crate::posterior;
 use crate::readings::ReadingEffect;
 use crate::report::{FittedEffect, Value, Where, Which};
-use crate::search::Fit;
+use crate::search::{Fit, RESTS};
 use crate::setup::Setup;
 
 /// The effects of a fit, with their parameters.
@@ -43,7 +43,12 @@ pub(crate) fn fitted_effects(setup: &Setup, fit: &Fit) -> Vec<FittedEffect> {
                 .zip(values)
                 .map(|(&k, value)| {
                     let f = &fit.hypothesis.fitted[k];
-                    (f.name.clone(), Value { value, std: std[k], unit: f.unit.clone() })
+                    // A limit at the end of what the log holds was never reached: it is there or beyond.
+                    let limit = matches!(f.name.as_str(), "high" | "low" | "limit" | "lower_limit");
+                    let near = RESTS * (f.high - f.low);
+                    let unreached = limit && (theta[k] - f.null).abs() <= near;
+                    let std = if unreached { f64::INFINITY } else { std[k] };
+                    (f.name.clone(), Value { value, std, unit: f.unit.clone() })
                 })
                 .collect();
             FittedEffect { name: at.effect.name().into(), place: at.place.to_string(), parameters }

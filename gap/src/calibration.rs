@@ -1,8 +1,8 @@
 //! What a fit says of the nominal system's own parameters.
 
-use crate::hypothesis::Slot;
+use crate::hypothesis::{Fitted, Slot};
 use crate::report::Calibration;
-use crate::search::Fit;
+use crate::search::{Fit, RESTS};
 use crate::setup::Setup;
 
 /// How far each moved.
@@ -21,9 +21,16 @@ pub(crate) fn moved(setup: &Setup, fit: &Fit) -> Vec<Calibration> {
             std: std[k],
             unit: f.unit.clone(),
             significant: (theta[k] - f.null).abs() > 2.0 * std[k],
+            at_bound: near(f, theta[k]),
         });
     }
     out
+}
+
+/// Whether a value lies at a bound of its parameter.
+fn near(fitted: &Fitted, value: f64) -> bool {
+    let near = RESTS * (fitted.high - fitted.low);
+    near.is_finite() && (value - fitted.low <= near || fitted.high - value <= near)
 }
 
 /// The values of all that were fitted, freed ones included, by name.

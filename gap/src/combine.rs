@@ -2,10 +2,10 @@
 
 use std::cell::OnceCell;
 
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use crate::hypothesis::{EffectAt, Slot};
+use crate::hypothesis::{EffectAt, Hypothesis, Slot};
 use crate::judge::{EVEN, Judge, WORTH};
 use crate::library;
 use crate::search::{Fit, INEXACT, Width, fit_all, fit_hypothesis, fit_part};
@@ -39,11 +39,30 @@ const NOTHING: f64 = 20.0;
 /// Difference of −2 log evidence up to which two effects alone are one and the same.
 const TWIN: f64 = 0.01;
 
+/// An effect that may be added, with its fit alone.
+#[derive(Clone, Copy)]
+struct Candidate<'a> {
+    at: &'a EffectAt,
+    alone: &'a Fit,
+    /// Whether it explains something alone: then where it does so is a start of its own.
+    helps: bool,
+}
+
 /// Combinations that are worth their further effects; `fits` are single effects in their best forms, the best first, and
 /// `forms` are all of them.
 #[must_use]
-pub fn combinations(setup: &Setup, null: &Fit, fits: &[Fit], forms: &[EffectAt], judge: &Judge) -> Vec<Fit> {
-    let pool: Vec<EffectAt> = fits.iter().filter_map(|f| f.hypothesis.effects.first().cloned()).collect();
+pub fn combinations<'a>(
+    setup: &Setup,
+    null: &Fit,
+    fits: &'a [Fit],
+    forms: &[EffectAt],
+    judge: &Judge,
+) -> Vec<Fit> {
+    let helps = |alone: &Fit| judge.cost(alone) < judge.cost(null) - WORTH;
+    let candidate = |alone: &'a Fit| {
+        Some(Candidate { at: alone.hypothesis.effects.first()?, alone, helps: helps(alone) })
+    };
+    let pool: Vec<Candidate<'_>> = fits.iter().filter_map(candidate).collect();
     let mut found: Vec<Fit> = Vec::new();
     for base in beginnings(setup, null, fits, &pool, judge) {
         if setup.stop.leaves_out(|| SEVERAL.into()) {
@@ -74,7 +93,7 @@ pub fn combinations(setup: &Setup, null: &Fit, fits: &[Fit], forms: &[EffectAt],
 }
 
 /// A fit with further effects, one by one, as long as they are worth it.
-fn grown(setup: &Setup, null: &Fit, mut base: Fit, pool: &[EffectAt], judge: &Judge) -> Fit {
+fn grown(setup: &Setup, null: &Fit, mut base: Fit, pool: &[Candidate<'_>], judge: &Judge) -> Fit {
     while base.hypothesis.effects.len() < MOST && !setup.stop.leaves_out(|| SEVERAL.into()) {
         let Some(next) = extend(setup, &base, pool, judge) else { break };
         let complete = || leaves_nothing(setup, &next, pool);
@@ -93,7 +112,7 @@ fn exchanged(
     null: &Fit,
     fit: &Fit,
     fits: &[Fit],
-    (pool, forms): (&[EffectAt], &[EffectAt]),
+    (pool, forms): (&[Candidate<'_>], &[EffectAt]),
     judge: &Judge,
 ) -> Option<Fit> {
     let effects = &fit.hypothesis.effects;
@@ -134,7 +153,7 @@ fn without(setup: &Setup, null: &Fit, fit: &Fit, left_out: usize, fits: &[Fit]) 
 
 /// Whether a single effect with which the noise is reached explains as much as several do, whichever they began with: then
 /// these only share out what the one does.
-fn explained_by_one(setup: &Setup, fit: &Fit, fits: &[Fit], pool: &[EffectAt], judge: &Judge) -> bool {
+fn explained_by_one(setup: &Setup, fit: &Fit, fits: &[Fit], pool: &[Candidate<'_>], judge: &Judge) -> bool {
     let complete = OnceCell::new();
     let complete = || *complete.get_or_init(|| leaves_nothing(setup, fit, pool));
     let mut exact = fits.iter().filter(|single| single.shooting_error <= INEXACT);
@@ -147,7 +166,7 @@ fn beginnings<'a>(
     setup: &Setup,
     null: &Fit,
     fits: &'a [Fit],
-    pool: &[EffectAt],
+    pool: &[Candidate<'_>],
     judge: &Judge,
 ) -> Vec<&'a Fit> {
     // Where nothing reaches the noise, two effects may do together what neither promises alone.
@@ -159,8 +178,8 @@ fn beginnings<'a>(
     let Some(first) = chosen.first() else { return chosen };
     let promise = |base: &Fit| {
         let nuisance = Nuisance::new(base);
-        let best = pool.par_iter().filter(|at| !base.hypothesis.effects.contains(at));
-        let most = best.map(|at| score(setup, base, &nuisance, at)).reduce(|| 0.0, f64::max);
+        let best = pool.par_iter().filter(|other| !base.hypothesis.effects.contains(other.at));
+        let most = best.map(|other| score(setup, base, &nuisance, other.at)).reduce(|| 0.0, f64::max);
         let (all, count) = (nuisance.innovations.norm_squared(), nuisance.innovations.len() as f64);
         // What the likelihood gains once the noise is that of the rest.
         base.innovation.evidence_cost + count * (1.0 - most / all).max(1e-6).ln()
@@ -203,25 +222,32 @@ fn twins(setup: &Setup, null: &Fit, fit: &Fit, fits: &[Fit], judge: &Judge) -> V
 }
 
 /// The best fit with one effect more, if any effect promises something.
-fn extend(setup: &Setup, base: &Fit, pool: &[EffectAt], judge: &Judge) -> Option<Fit> {
+fn extend(setup: &Setup, base: &Fit, pool: &[Candidate<'_>], judge: &Judge) -> Option<Fit> {
     // What repeats shows best beside what the base explains.
     let setup = &setup.with_lines_of(&base.innovation.pass);
     let nuisance = Nuisance::new(base);
-    let others: Vec<&EffectAt> =
-        pool.iter().filter(|at| !base.hypothesis.effects.iter().any(|own| overlap(own, at))).collect();
-    let mut scores: Vec<(f64, &EffectAt)> =
-        others.into_par_iter().map(|at| (score(setup, base, &nuisance, at), at)).collect();
-    scores.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(b.1)));
-    let hypotheses: Vec<_> = scores
+    let others: Vec<&Candidate<'_>> = pool
         .iter()
-        .filter(|(score, _)| *score > WORTH)
-        .take(ADDED)
-        .map(|(_, at)| {
+        .filter(|other| !base.hypothesis.effects.iter().any(|own| overlap(own, other.at)))
+        .collect();
+    let mut scores: Vec<(f64, &EffectAt, Hypothesis)> = others
+        .into_par_iter()
+        .map(|other| {
             let mut effects = base.hypothesis.effects.clone();
-            effects.push((*at).clone());
-            library::hypothesis(setup, &effects)
+            effects.push(other.at.clone());
+            let mut hypothesis = library::hypothesis(setup, &effects);
+            let mut most = score(setup, base, &nuisance, other.at);
+            if other.helps {
+                let start = hypothesis.starts_at(&other.alone.hypothesis, other.alone.estimate());
+                let columns = signature::columns_of(setup, base, &hypothesis, start);
+                most = most.max(score_of(&nuisance, &columns));
+            }
+            (most, other.at, hypothesis)
         })
         .collect();
+    scores.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(b.1)));
+    let promising = scores.into_iter().filter(|(score, ..)| *score > WORTH).take(ADDED);
+    let hypotheses: Vec<_> = promising.map(|(_, _, hypothesis)| hypothesis).collect();
     if hypotheses.is_empty() {
         return None;
     }
@@ -252,25 +278,35 @@ fn simplest(fits: &[Fit], cost: impl Fn(&Fit) -> f64) -> Option<Fit> {
 }
 
 /// Whether no effect of the library promises anything beside a fit.
-fn leaves_nothing(setup: &Setup, fit: &Fit, pool: &[EffectAt]) -> bool {
+fn leaves_nothing(setup: &Setup, fit: &Fit, pool: &[Candidate<'_>]) -> bool {
     let setup = &setup.with_lines_of(&fit.innovation.pass);
     let nuisance = Nuisance::new(fit);
-    let others = pool.par_iter().filter(|at| !fit.hypothesis.effects.iter().any(|own| overlap(own, at)));
-    others.map(|at| score(setup, fit, &nuisance, at)).reduce(|| 0.0, f64::max) < NOTHING
+    let others =
+        pool.par_iter().filter(|other| !fit.hypothesis.effects.iter().any(|own| overlap(own, other.at)));
+    others.map(|other| score(setup, fit, &nuisance, other.at)).reduce(|| 0.0, f64::max) < NOTHING
 }
 
 /// How much of the base's squared innovations an effect's signature takes, at most: a score test.
 fn score(setup: &Setup, base: &Fit, nuisance: &Nuisance, at: &EffectAt) -> f64 {
-    let at_starts = signature::columns_at_starts(setup, base, at).into_iter().map(|columns| {
-        let basis = signature::orthonormal(&nuisance.project_columns(&columns));
-        let along: DVector<f64> = basis.transpose() * &nuisance.innovations;
-        along.norm_squared()
-    });
-    at_starts.filter(|score| score.is_finite()).fold(0.0, f64::max)
+    let at_starts = signature::columns_at_starts(setup, base, at);
+    at_starts.iter().map(|columns| score_of(nuisance, columns)).fold(0.0, f64::max)
+}
+
+fn score_of(nuisance: &Nuisance, columns: &DMatrix<f64>) -> f64 {
+    let basis = signature::orthonormal(&nuisance.project_columns(columns));
+    let along: DVector<f64> = basis.transpose() * &nuisance.innovations;
+    Some(along.norm_squared()).filter(|score| score.is_finite()).unwrap_or(0.0)
 }
 
 /// Leaves out each effect without which the evidence loses less than [`WORTH`], the least needed first.
-fn prune(setup: &Setup, null: &Fit, mut fit: Fit, fits: &[Fit], pool: &[EffectAt], judge: &Judge) -> Fit {
+fn prune(
+    setup: &Setup,
+    null: &Fit,
+    mut fit: Fit,
+    fits: &[Fit],
+    pool: &[Candidate<'_>],
+    judge: &Judge,
+) -> Fit {
     while fit.hypothesis.effects.len() > 1 && !setup.stop.leaves_out(|| SEVERAL.into()) {
         let doubtful: Vec<usize> =
             (0..fit.hypothesis.effects.len()).filter(|k| !is_certain(&fit, *k)).collect();

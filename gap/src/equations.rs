@@ -198,13 +198,13 @@ fn table<const N: usize>(simulator: &EquationsSimulator<'_>, theta: &[f64], extr
         .map(|i| commands::changes(&simulator.plant, experiment, simulator.step, &extra, i))
         .collect();
     enum What {
-        Change,
+        Change { input: usize, index: usize },
         Reading(Reading),
     }
     let mut all: Vec<(Dual<N>, What)> =
         Vec::with_capacity(experiment.samples.len() + changes.iter().map(Vec::len).sum::<usize>());
-    for channel in &changes {
-        all.extend(channel.iter().map(|c| (c.time, What::Change)));
+    for (input, channel) in changes.iter().enumerate() {
+        all.extend(channel.iter().enumerate().map(|(index, c)| (c.time, What::Change { input, index })));
     }
     let clocks: Vec<commands::Clock<N>> = (0..experiment.wraps.len())
         .map(|output| commands::Clock::new(&simulator.plant, &extra, output))
@@ -232,18 +232,16 @@ fn table<const N: usize>(simulator: &EquationsSimulator<'_>, theta: &[f64], extr
     let late: Vec<bool> = (0..experiment.wraps.len()).map(late).collect();
     let mut between: Vec<Vec<Dual<N>>> = vec![Vec::new(); inputs];
     for (time, what) in all {
-        for (input, channel) in changes.iter().enumerate() {
-            let mut at = current[input] as usize;
-            while at + 1 < channel.len() && channel[at + 1].time.value <= time.value {
-                at += 1;
-            }
-            current[input] = at as u32;
-        }
-        table.current.extend_from_slice(&current);
         let reading = match what {
-            What::Change => None,
+            What::Change { input, index } => {
+                // Not before its own event, even where another one shares its time: between the two the old value acts for no
+                // time, and that is where a derivative by the one's time comes from.
+                current[input] = current[input].max(index as u32);
+                None
+            }
             What::Reading(reading) => Some(reading),
         };
+        table.current.extend_from_slice(&current);
         match reading.filter(|r| late[r.output]) {
             Some(reading) => {
                 for (input, channel) in changes.iter().enumerate() {

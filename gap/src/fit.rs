@@ -8,6 +8,7 @@ pub use parallax_model::fit::Local;
 use parallax_runtime::delay::special::normal_cdf;
 
 use crate::hypothesis::Fitted;
+use crate::ridge::Ridge;
 
 /// Where a minimisation ended.
 #[derive(Clone, Debug)]
@@ -45,6 +46,7 @@ where
             *v = v.clamp(f.low, f.high);
         }
     };
+    let ridges = Ridge::of(fitted);
     let mut theta = start.to_vec();
     clamp(&mut theta);
     let mut local = loss(&theta, true);
@@ -54,7 +56,10 @@ where
         if p == 0 {
             break;
         }
-        let (hessian, gradient) = with_priors(fitted, &theta, &local);
+        let (mut hessian, mut gradient) = with_priors(fitted, &theta, &local);
+        for ridge in &ridges {
+            ridge.straighten(&theta, &mut hessian, &mut gradient);
+        }
         // What the quadratic model promises: the gradient is half that of the cost.
         let promised = bounded_step(fitted, &theta, &hessian, &gradient, 0.0)
             .map(|step| -step.iter().zip(gradient.iter()).map(|(d, g)| d * g).sum::<f64>());
@@ -68,6 +73,7 @@ where
                 continue;
             };
             let mut trial: Vec<f64> = theta.iter().zip(&step).map(|(v, d)| v + d).collect();
+            ridges.iter().for_each(|ridge| ridge.bend(&theta, &mut trial));
             clamp(&mut trial);
             let trial_local = loss(&trial, false);
             let trial_cost = trial_local.cost + prior_cost(fitted, &trial);

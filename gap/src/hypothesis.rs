@@ -148,6 +148,27 @@ impl Hypothesis {
         matches!(slot, Slot::Nominal(_)) && self.fitted.iter().any(|f| f.slot == slot && !f.starts.is_empty())
     }
 
+    /// Lets its last effect start also where `alone`, a fit of that effect by itself, found it. Gives the index of that start.
+    pub fn starts_at(&mut self, alone: &Hypothesis, theta: &[f64]) -> usize {
+        let Some(last) = self.effects.len().checked_sub(1) else { return 0 };
+        let own = |slot: Slot| match slot {
+            Slot::Effect { effect, parameter } if effect == last => {
+                let of = Slot::Effect { effect: 0, parameter };
+                alone.fitted.iter().position(|f| f.slot == of).map(|j| theta[j])
+            }
+            _ => None,
+        };
+        let found: Vec<(usize, f64)> =
+            self.fitted.iter().enumerate().filter_map(|(j, f)| Some((j, own(f.slot)?))).collect();
+        let count = found.iter().map(|(j, _)| self.fitted[*j].starts.len()).max().unwrap_or(0);
+        for (j, value) in found {
+            let f = &mut self.fitted[j];
+            let few = if f.starts.is_empty() { vec![f.null] } else { std::mem::take(&mut f.starts) };
+            f.starts = few.iter().cycle().take(count).copied().chain([value]).collect();
+        }
+        count
+    }
+
     /// The starting points: every effect parameter's starts taken together, calibrated ones at their null.
     #[must_use]
     pub fn starts(&self) -> Vec<Vec<f64>> {

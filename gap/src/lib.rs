@@ -97,6 +97,7 @@ pub mod posterior;
 pub mod quantify;
 pub mod readings;
 pub mod report;
+pub mod ridge;
 mod rows;
 pub mod search;
 pub mod setup;

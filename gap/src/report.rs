@@ -144,6 +144,9 @@ pub struct Calibration {
     pub unit: String,
     /// Whether it moved by more than two standard deviations.
     pub significant: bool,
+    /// Whether it ended at a bound of its `calibrate`: the data ask for more than it may move.
+    #[serde(default)]
+    pub at_bound: bool,
 }
 
 /// A place and its part in the gap.
@@ -184,10 +187,17 @@ pub struct FittedEffect {
 pub struct Value {
     /// The estimate.
     pub value: f64,
-    /// Its standard deviation.
+    /// Its standard deviation; infinite (`null` in JSON) where the data do not tell it, such as a limit that was never
+    /// reached.
+    #[serde(deserialize_with = "or_infinite")]
     pub std: f64,
     /// Its unit.
     pub unit: String,
+}
+
+/// JSON has no infinity.
+fn or_infinite<'de, D: serde::Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
+    Ok(Option::<f64>::deserialize(from)?.unwrap_or(f64::INFINITY))
 }
 
 /// What is left beyond the named effects.

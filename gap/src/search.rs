@@ -6,6 +6,7 @@ use crate::fit::Minimum;
 use crate::hypothesis::{EffectAt, Hypothesis, Slot};
 use crate::innovation::{InnovationFit, fit, walk};
 use crate::library;
+use crate::ridge::Ridge;
 use crate::setup::Setup;
 use crate::stop::SEVERAL;
 use crate::windows::{FEW, Shot, fit_windows, representative, windows};
@@ -40,7 +41,7 @@ pub struct Fit {
 pub const INEXACT: f64 = 1.5;
 
 /// Share of a parameter's range within which it counts as resting on a bound.
-const RESTS: f64 = 1e-3;
+pub const RESTS: f64 = 1e-3;
 
 /// Natural sizes of a parameter that count as its range where that is wider.
 const SIZES: f64 = 50.0;
@@ -180,6 +181,17 @@ fn refine(
     if other.evidence_cost < innovation.evidence_cost {
         innovation = other;
     }
+    let ridge = Ridge::of(&hypothesis.fitted).into_iter().next();
+    let found = innovation.minimum.theta.clone();
+    for start in ridge.iter().flat_map(|ridge| SPLITS.map(|ratio| ridge.at(&found, ratio))) {
+        if setup.stop.asked() || innovation.evidence_cost > null.innovation.evidence_cost - RIDGE {
+            break;
+        }
+        let other = refine(&start, ITERATIONS);
+        if other.evidence_cost < innovation.evidence_cost {
+            innovation = other;
+        }
+    }
     // Each loss starts from the other's answer as well, with the states that its own filter found.
     let own = windows(setup, &simulator, &innovation.pass);
     let again = fit_windows(setup, &simulator, &hypothesis, &own, &innovation.minimum.theta, ITERATIONS);
@@ -188,6 +200,12 @@ fn refine(
     }
     assemble(setup, hypothesis, Vec::new(), innovation, shot)
 }
+
+/// Difference of −2 log evidence to the null model from which a spring's split is worth a search of its own.
+const RIDGE: f64 = 20.0;
+
+/// Shares of the inertia beyond a spring from which a fit begins again.
+const SPLITS: [f64; 3] = [0.2, 0.5, 0.8];
 
 /// Windows of the screen.
 const SCREEN_WINDOWS: usize = 48;

@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 use parallax_model::effect::Effect;
 
-use crate::hypothesis::EffectAt;
+use crate::hypothesis::{EffectAt, Hypothesis};
 use crate::innovation::walk;
 use crate::library;
 use crate::search::Fit;
@@ -118,15 +118,23 @@ pub fn columns(setup: &Setup, null: &Fit, effect: &EffectAt) -> DMatrix<f64> {
 /// joint is seen at its frequency.
 #[must_use]
 pub fn columns_at_starts(setup: &Setup, null: &Fit, effect: &EffectAt) -> Vec<DMatrix<f64>> {
-    let starts = if effect.effect == Effect::Flexibility { FREQUENCIES } else { 1 };
+    let starts = match effect.effect {
+        Effect::Flexibility | Effect::FlexibilityFar => FREQUENCIES,
+        _ => 1,
+    };
     (0..starts).map(|start| columns_at(setup, null, effect, start)).collect()
 }
 
 fn columns_at(setup: &Setup, null: &Fit, effect: &EffectAt, start: usize) -> DMatrix<f64> {
     let mut effects = null.hypothesis.effects.clone();
     effects.push(effect.clone());
-    let hypothesis = library::hypothesis(setup, &effects);
-    let simulator = library::simulator(setup, &hypothesis, Vec::new());
+    columns_of(setup, null, &library::hypothesis(setup, &effects), start)
+}
+
+/// Derivatives of a fit's whitened innovations by what `hypothesis` has beyond it, at one of its starts.
+#[must_use]
+pub fn columns_of(setup: &Setup, null: &Fit, hypothesis: &Hypothesis, start: usize) -> DMatrix<f64> {
+    let simulator = library::simulator(setup, hypothesis, Vec::new());
     let theta: Vec<f64> = hypothesis
         .fitted
         .iter()

@@ -151,3 +151,57 @@ fn the_number_of_threads_does_not_change_the_report() {
     };
     assert_eq!(report(1), report(4));
 }
+
+/// Two commands that share their stamps: what changes when the second of them acts is felt at no delay as well, where both
+/// act at one time.
+#[test]
+fn commands_of_one_stamp_part_in_the_derivatives() {
+    const TWO: &str = r#"
+format = 1
+name = "two"
+[inputs]
+a = { signal = "a" }
+b = { signal = "b" }
+[state]
+x = { derivative = "a - 0.5*x" }
+y = { derivative = "b - 0.5*y" }
+[outputs]
+x = { value = "x" }
+y = { value = "y" }
+"#;
+    let times: Vec<f64> = (0..40).map(|k| 0.02 * f64::from(k)).collect();
+    let held = |shift: f64| Held {
+        times: times.clone(),
+        values: times.iter().map(|t| (9.0 * t + shift).sin()).collect(),
+    };
+    let mut samples = Vec::new();
+    for (k, stamp) in times.iter().enumerate().skip(1) {
+        samples.extend((0..2).map(|output| Sample { output, stamp: stamp + 0.004, value: 0.1 * k as f64 }));
+    }
+    let experiment = Experiment {
+        inputs: vec![held(0.0), held(1.0)],
+        input_units: vec![String::new(); 2],
+        samples,
+        wraps: vec![None, None],
+        ..Experiment::default()
+    };
+    for (input, effect) in [(0, Effect::ClockSkew), (1, Effect::ClockSkew), (1, Effect::Delay)] {
+        let readings = |theta: f64| {
+            let equations = System::parse(TWO, "two.toml").expect("valid").equations().expect("complete");
+            let plant = Plant::new(equations, &[(effect, PlaceKind::Input, input)], Vec::new(), Vec::new());
+            let slots = vec![Slot::Effect { effect: 0, parameter: 0 }];
+            let simulator = EquationsSimulator::new(plant, slots, &experiment, 0.005);
+            predictions(&mut *simulator.run(&[theta]), &[0.2, -0.3], 1)
+        };
+        let (_, exact) = readings(0.0);
+        let step = 1e-6;
+        let ((ahead, _), (here, _)) = (readings(step), readings(0.0));
+        let mut largest: f64 = 0.0;
+        for ((ahead, here), row) in ahead.iter().zip(&here).zip(&exact) {
+            let numeric = (ahead - here) / step;
+            largest = largest.max(numeric.abs());
+            assert!((numeric - row[2]).abs() < 1e-4, "{effect:?} of {input}: {numeric} against {}", row[2]);
+        }
+        assert!(largest > 0.05, "{effect:?} of {input} leaves a trace");
+    }
+}

@@ -19,7 +19,7 @@ const WITHIN: f64 = 0.25;
 
 /// Share of a command's deviation that a saturation must leave; and where what is left explains everything.
 const LEFT: f64 = 0.25;
-const LEFT_EXACT: f64 = 0.05;
+const LEFT_EXACT: f64 = 0.02;
 
 /// Share of its largest deflection below which dry friction must have built up.
 const LONGEST: f64 = 0.9;

@@ -323,7 +323,7 @@ fn flexible(setup: &Setup, scale: &JointScale, quantity: Quantity, fitted: &mut 
             fitted.starts = hertz.map(damping).to_vec();
         }
         _ => {
-            flat(fitted, 0.0, 0.95, vec![0.3]);
+            flat(fitted, 0.0, 0.998, vec![0.3]);
         }
     }
 }

@@ -45,8 +45,11 @@ const TRACE: f64 = 0.1;
 /// fast.
 const TRACE_THERE: f64 = 0.3;
 
+/// Share of a lattice's evidence below which times that scatter are how its steps fall where the reading moves slowly.
+const OF_LATTICE: f64 = 0.02;
+
 /// Whether an effect is what a stronger one leaves behind: bad readings that were not all taken out look like times that
-/// scatter, and a coarse lattice repeats its values.
+/// scatter, and a coarse lattice repeats its values and is off by what the reading's rate decides.
 #[must_use]
 pub fn is_trace(effect: &ReadingEffect, all: &[ReadingEffect]) -> bool {
     let found = |names: &[&str]| {
@@ -54,6 +57,12 @@ pub fn is_trace(effect: &ReadingEffect, all: &[ReadingEffect]) -> bool {
         all.iter().filter(move |e| e.significant && names.contains(&e.name))
     };
     match effect.name.as_str() {
+        "jitter"
+            if found(&["quantization"])
+                .any(|e| effect.place == e.place && effect.evidence > OF_LATTICE * e.evidence) =>
+        {
+            true
+        }
         "jitter" | "drops" => found(&["outliers", "stuck"]).any(|e| {
             let trace = if effect.place == e.place { TRACE_THERE } else { TRACE };
             (effect.place.starts_with("input:") || effect.place == e.place)

@@ -4,9 +4,10 @@ use super::{Interval, Value};
 pub(super) use crate::plot::format::*;
 
 /// `0.0410 ± 0.0012 s`: the uncertainty to one significant digit (two where the first is 1), the value to the
-/// same place.
+/// same place. A value that the data do not tell is said to be so.
 pub(super) fn uncertain(value: &Value) -> String {
-    format!("{}{}", plus_minus(value.value, value.std), unit(&value.unit))
+    let untold = if value.std == f64::INFINITY { " (not told by these data)" } else { "" };
+    format!("{}{}{untold}", plus_minus(value.value, value.std), unit(&value.unit))
 }
 
 /// A share and its interval, to the digits that the interval's width leaves: `99.6 %`, `99.2 to 99.8 %`.
@@ -45,6 +46,7 @@ mod tests {
         assert_eq!(value(3.141_592e-7, 2e-9, "m"), "(3.14 ± 0.02)×10⁻⁷ m");
         assert_eq!(value(1e308, 1e306, "N"), "(1.000 ± 0.010)×10³⁰⁸ N");
         assert_eq!(value(1.0, f64::NAN, "N"), "1 N");
+        assert_eq!(value(1.0, f64::INFINITY, "N"), "1 N (not told by these data)");
         assert_eq!(value(f64::NAN, 1.0, "N"), "– N");
         assert_eq!(value(1.0, 1e-14, "s"), "1 ± 10⁻¹⁴ s");
     }

@@ -370,7 +370,12 @@ fn calibration(report: &Report) -> String {
         } else {
             "–".into()
         };
-        let (class, mark) = if row.significant { (" class=\"moved\"", "● moved") } else { ("", "") };
+        let (class, mark) = match (row.significant, row.at_bound) {
+            (true, true) => (" class=\"moved\"", "● moved to its bound"),
+            (true, false) => (" class=\"moved\"", "● moved"),
+            (false, true) => ("", "at its bound"),
+            (false, false) => ("", ""),
+        };
         format!(
             "<tr{class}><th scope=\"row\">{}</th><td>{}</td><td>{}</td><td class=\"unit\">{}</td><td>{percent}</td>\
              <td>{}</td><td class=\"mark\">{mark}</td></tr>\n",
@@ -388,7 +393,7 @@ fn calibration(report: &Report) -> String {
          <th scope=\"col\">in std</th><th scope=\"col\"></th></tr></thead>\n<tbody>\n{rows}</tbody>\n</table></div>\n"
     );
     let note = "Parameters that the system allows to be refitted, under the leading answer. Moved: by more than two \
-                standard deviations.";
+                standard deviations. What ends at a bound of its <code>calibrate</code> would go further if it might.";
     section("Calibration", note, &table)
 }
 

@@ -87,7 +87,9 @@ const NEAR: f64 = 1.2;
 fn cause(effect: &FittedEffect) -> String {
     let early =
         effect.name == Effect::Delay.name() && effect.parameters.values().any(|delay| delay.value < 0.0);
-    let what = match Effect::from_name(&effect.name) {
+    let parameters: Vec<&str> = effect.parameters.keys().map(String::as_str).collect();
+    let form = Effect::with_parameters(&effect.name, &parameters);
+    let what = match form.or_else(|| Effect::from_name(&effect.name)) {
         Some(_) if early => "acts before its stamp",
         Some(known) => known.sentence(),
         None => "departs from the model",

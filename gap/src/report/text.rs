@@ -151,12 +151,13 @@ fn calibration(lines: &mut Lines, report: &Report) {
     let width = rows.iter().take(6).map(|row| row.name.chars().count()).max().unwrap_or(0);
     for (i, row) in rows.iter().take(6).enumerate() {
         let text = format!(
-            "{:width$}  {} -> {}{}{}",
+            "{:width$}  {} -> {}{}{}{}",
             row.name,
             format::number(row.nominal, 5),
             format::plus_minus(row.value, row.std),
             format::unit(&row.unit),
-            if row.significant { "  moved" } else { "" }
+            if row.significant { "  moved" } else { "" },
+            if row.at_bound { ", at its bound: widen `calibrate`?" } else { "" }
         );
         lines.0.push(format!(
             "{:INDENT$}{}",

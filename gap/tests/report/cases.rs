@@ -30,7 +30,15 @@ fn interval(value: f64, low: f64, high: f64) -> Interval {
 
 fn calibration(name: &str, nominal: f64, value: f64, std: f64, unit: &str) -> Calibration {
     let significant = (value - nominal).abs() > 2.0 * std;
-    Calibration { name: name.to_owned(), nominal, value, std, unit: unit.to_owned(), significant }
+    Calibration {
+        name: name.to_owned(),
+        nominal,
+        value,
+        std,
+        unit: unit.to_owned(),
+        significant,
+        at_bound: false,
+    }
 }
 
 /// Ten parts whose means follow from their number.

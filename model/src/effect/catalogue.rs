@@ -105,10 +105,10 @@ pub(super) const fn of(effect: Effect) -> Entry {
             const { &[positive("cubic_stiffness", Q::CubicStiffness), signed("rest", Q::Position)] }),
         Effect::Flexibility => entry("flexibility", "is driven through a spring", JOINT, const { &[
             positive("stiffness", Q::FlexibleStiffness), positive("damping", Q::FlexibleDamping),
-            within("ratio", Q::FarShare, 0.0, 0.0, 0.95)] }),
+            within("ratio", Q::FarShare, 0.0, 0.0, 0.998)] }),
         Effect::FlexibilityFar => entry("flexibility", "moves a mass that hangs on a spring", JOINT, const { &[
             positive("stiffness", Q::FlexibleStiffness), positive("damping", Q::FlexibleDamping),
-            within("far_ratio", Q::FarShare, 0.0, 0.0, 0.95)] }),
+            within("far_ratio", Q::FarShare, 0.0, 0.0, 0.998)] }),
         Effect::ConstantForce => entry("constant_force", "feels a constant force", JOINT, const { &[signed("force", Q::Force)] }),
         Effect::EndStop => entry("end_stop", "runs into a stop", JOINT,
             const { &[within("limit", Q::UpperStop, INF, -INF, INF), positive("stiffness", Q::StopStiffness)] }),
