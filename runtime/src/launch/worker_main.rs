@@ -8,7 +8,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use super::control::{Answer, Line, Order, readable};
 use super::desk::{Face, Front};
@@ -32,8 +32,13 @@ use crate::registry::Registry;
 pub(super) const STOP_ONLY: &str = "--stop";
 /// Milliseconds between two looks whether a wish has come back from the node.
 const BACK: i32 = 2;
-/// How long a node may take to end when its launcher is gone.
-const GRACE: Duration = Duration::from_secs(1);
+/// So many looks a node may take to end when its launcher is gone: a second. Counted, not timed, so that a machine that was
+/// asleep, or kept this process from running, is not taken for a node that hangs.
+const GRACE: u32 = 200;
+/// So many looks at most whether the others of the run are gone, too: two seconds.
+const LEAVING: u32 = 400;
+/// Between two such looks.
+const LOOK: Duration = Duration::from_millis(5);
 
 /// The hidden subcommand under which a program runs one of its own nodes.
 pub const NODE_COMMAND: &str = "__node";
@@ -91,8 +96,16 @@ pub fn node_main(arguments: impl Iterator<Item = String>, registry: &Registry) -
 /// The launcher is gone: whoever of its nodes is the last removes what the run had in shared memory.
 fn leave(space: &Space) {
     space.leave();
-    // What cannot be removed now is removed by the next run.
-    let _ = clean_stale();
+    // The kernel closes what a dying process holds one by one: the line to the launcher closes a while before its lock is
+    // free, and a node may well have ended in between.
+    for _ in 0..LEAVING {
+        // What cannot be removed at all is removed by the next run.
+        let _ = clean_stale();
+        if !space.path().exists() {
+            return;
+        }
+        std::thread::sleep(LOOK);
+    }
 }
 
 /// Builds a node for nothing but to stop it.
@@ -479,12 +492,11 @@ fn follow(
 /// The launcher is gone. A node that hangs in its step would be left for ever: there is nobody to end it.
 fn end_alone(finished: &AtomicBool, own: Option<&Space>) {
     let Some(own) = own else { return };
-    let start = Instant::now();
-    while start.elapsed() < GRACE {
+    for _ in 0..GRACE {
         if finished.load(Ordering::Acquire) {
             return;
         }
-        std::thread::sleep(Duration::from_millis(5));
+        std::thread::sleep(LOOK);
     }
     leave(own);
     eprintln!("a node hangs and its launcher is gone: it ends without having stopped in order");

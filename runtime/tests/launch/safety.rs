@@ -186,8 +186,15 @@ fn without_a_launcher_everything_ends_safely() {
         if let Some(also) = also {
             signal(nodes[0], also);
         }
+        // Of what a dying process holds, the kernel may free the lock last, when the nodes have long seen its line closed.
+        let lock = remains(launcher.id()).into_iter().find(|path| path.ends_with(".lock")).unwrap();
+        let lock = std::fs::File::open(lock).unwrap();
+        lock.lock_shared().unwrap();
         signal(launcher.id(), libc::SIGKILL);
         launcher.wait().unwrap();
+        until("the driver has stopped", || read(&log).last().is_some_and(|line| line.starts_with("stop")));
+        std::thread::sleep(Duration::from_millis(100));
+        drop(lock);
         until("the nodes end", || !nodes.iter().any(|node| alive(*node)));
         until("shared memory is free again", || remains(launcher.id()).is_empty());
         ends(&read(&log), "LauncherGone");
