@@ -126,6 +126,39 @@ def test_schedules_vary_by_more_than_their_own_scatter():
         pt.varied_episodes(graph, 1.0, extra={"nobody": pt.Uniform(0, 1)}, variants=1)
 
 
+def test_a_hidden_delay_that_scatters_scatters_in_training(tmp_path):
+    graph = px.Graph("pendulum-simulated")
+
+    def delay(of, value, std):
+        place = {"from": "motor", "to": "world", "port": "motor", "of": of}
+        return {"name": "actuator", "places": [place], "value": value, "std": std}
+
+    def lateness(*estimates):
+        (tmp_path / "identified.json").write_text(json.dumps({"estimates": estimates}))
+        varied = pt.varied_episodes(graph, 3.0, identified=tmp_path, variants=10, each=1)
+        late = []
+        for place in range(len(varied)):
+            episode = varied.episode(place)
+            seen = episode["connections"]["motor->world"]
+            first = np.unique(seen["seq"][:, -1], return_index=True)[1]
+            first = first[seen["seq"][first, -1] >= 0]
+            sent = episode["nodes"]["motor"]["end"][seen["seq"][first, -1]]
+            late.append((seen["received"][first, -1] - sent) * 1e-9)
+        return np.array([np.mean(each) for each in late]), np.array([np.std(each) for each in late])
+
+    # Of messages 20 ms apart none overtakes another.
+    means, spreads = lateness(delay("spread", 2e-3, 0.0), delay("mean", 0.03, 1e-3))
+    assert abs(np.mean(means) - 0.03) < 1.5e-3
+    assert 4e-4 < np.std(means) < 2.5e-3
+    assert np.all(np.abs(spreads / 2e-3 - 1) < 0.3), spreads
+    # Without a spread every message of an episode takes as long.
+    means, spreads = lateness(delay("mean", 0.03, 1e-3))
+    assert np.std(means) > 4e-4
+    assert np.all(spreads < 1e-6), spreads
+    with pytest.raises(ValueError, match="no hidden delay of a connection of this graph"):
+        pt.varied_episodes(px.Graph("quadrotor-simulated"), 1.0, identified=tmp_path, variants=1)
+
+
 def test_what_is_drawn_twice_is_refused():
     with pytest.raises(ValueError, match="drawn twice"):
         pt.Randomisation(

@@ -9,11 +9,13 @@ Times are seconds since the run's start, in SI units throughout, unless a name e
 
 from ._native import ParallaxError, __version__
 from .cache import use_compilation_cache
+from .commands import CommandError
 from .compiled import CompiledGraph
 from .delay import Constant, Mixture, Normal, Trainable
 from .delays import TrainableDelay
 from .flow import DataFlow
 from .graph import FAST_AS_POSSIBLE, REAL_TIME, SIMULATED, WALL_CLOCK, Episodes, Graph
+from .identify import Estimate, Evolution, Identified, evolve, identify
 from .live import NodeReading, node_reading, reset_state, set_parameter, set_parameters
 from .member import Connection, Node, PlainNode, RustNode
 from .model import Model, models
@@ -32,13 +34,17 @@ __all__ = [
     "REAL_TIME",
     "SIMULATED",
     "WALL_CLOCK",
+    "CommandError",
     "CompiledGraph",
     "Connection",
     "Constant",
     "DataFlow",
     "Episodes",
+    "Estimate",
+    "Evolution",
     "Graph",
     "GraphState",
+    "Identified",
     "Message",
     "Mixture",
     "Model",
@@ -66,6 +72,8 @@ __all__ = [
     "Trajectory",
     "Window",
     "__version__",
+    "evolve",
+    "identify",
     "load",
     "models",
     "node_reading",

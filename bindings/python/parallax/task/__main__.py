@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from ..cache import use_compilation_cache
-from .commands import CommandError
+from ..commands import CommandError
 from .pendulum import VARIANTS, Options, pendulum
 
 

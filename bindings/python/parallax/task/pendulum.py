@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ..commands import Parallax
 from ..graph import Graph
 from ..recording import load
 from ..train import (
@@ -30,7 +31,6 @@ from ..train import (
 from ..train.randomisation import Distribution
 from ..types import Floats
 from . import graphs
-from .commands import Parallax
 from .report import write_report
 
 __all__ = ["VARIANTS", "Options", "Result", "Variant", "pendulum"]

@@ -1,22 +1,9 @@
-"""Packages that only training needs; where one is missing, the error says how to get it."""
+"""Packages that only training needs."""
 
 from __future__ import annotations
 
-import importlib
-from typing import Any
+from ..missing import package
 
 __all__ = ["optax", "package"]
-
-
-def package(name: str, extra: str = "train") -> Any:
-    """Imports a package of an extra."""
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        raise ImportError(
-            f"{error}: `{name.split('.')[0]}` comes with the package's extra `{extra}`; install it by "
-            f"`pip install 'parallax[{extra}]'`, from a checkout `pip install './bindings[{extra}]'`"
-        ) from error
-
 
 optax = package("optax")

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import copy
+import json
+import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -18,7 +21,9 @@ def varied_episodes(
     graph: Graph,
     seconds: float,
     *,
-    extra: Mapping[str, Distribution],
+    extra: Mapping[str, Distribution] | None = None,
+    identified: str | os.PathLike[str] | None = None,
+    widen: float = 1.0,
     variants: int = 16,
     each: int = 4,
     seed: int = 0,
@@ -29,19 +34,53 @@ def varied_episodes(
     (one of `graph.connections`), or a node's computation by the node's. Drawn from an interval of an identified or
     fitted delay, it makes policies that do not rely on the delay being exactly what was estimated. What an own
     distribution scatters within an episode is not changed; a delay that would be negative is zero.
+
+    `identified` is the folder of a `parallax identify`: in each variant the graph's hidden delays are drawn from its
+    estimates, mean and spread, with `widen` times their standard deviations; a delay that was found to scatter is
+    another one for every message. Of one that the data do not determine, the estimate is taken.
     """
     spec = graph.spec
+    hidden = {} if identified is None else _hidden(Path(identified), graph)
     result: Episodes | None = None
     for variant in range(variants):
         key = jax.random.fold_in(jax.random.key(seed), variant)
         changed = copy.deepcopy(spec)
-        for index, (place, distribution) in enumerate(extra.items()):
+        for index, (place, moments) in enumerate(hidden.items()):
+            drawn = jax.random.normal(jax.random.fold_in(key, 1000 + index), (2,), float)
+            values = [max(0.0, value + widen * std * float(z)) for (value, std), z in zip(moments, drawn, strict=False)]
+            changed["connection"][graph.connections.index(place)]["delay"] = (
+                {"distribution": "normal", "mean": values[0], "std": values[1]}
+                if len(values) == 2
+                else {"distribution": "constant", "seconds": values[0]}
+            )
+        for index, (place, distribution) in enumerate((extra or {}).items()):
             shift = float(distribution.sample(jax.random.fold_in(key, index)))
             _shift(changed, graph, place, shift)
         episodes = Graph(changed).generate(seconds, each, seed + variant)
         result = episodes if result is None else result + episodes
     if result is None:
         raise ValueError("no variants were asked for")
+    return result
+
+
+def _hidden(folder: Path, graph: Graph) -> dict[str, list[tuple[float, float]]]:
+    """For each hidden delay by its connection: value and standard deviation (s) of its mean, and of its spread where it
+    scatters."""
+    file = folder / "identified.json"
+    estimates = json.loads(file.read_text(encoding="utf-8"))["estimates"]
+    result: dict[str, list[tuple[float, float]]] = {}
+    # A spread comes after its mean.
+    for estimate in sorted(estimates, key=lambda estimate: any(p.get("of") == "spread" for p in estimate["places"])):
+        for place in estimate["places"]:
+            if "of" not in place:
+                continue
+            name = f"{place['from']}->{place['to']}"
+            names = [each for each in (name, f"{name}.{place['port']}") if each in graph.connections]
+            if names:
+                result.setdefault(names[0], []).append((float(estimate["value"]), float(estimate["std"] or 0.0)))
+    if not result:
+        known = ", ".join(graph.connections)
+        raise ValueError(f"{file} has no hidden delay of a connection of this graph ({known})")
     return result
 
 

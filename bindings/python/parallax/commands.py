@@ -1,4 +1,4 @@
-"""The command line as the task uses it: one process for each thing that is done."""
+"""The command line: one process for each thing that is done."""
 
 from __future__ import annotations
 
@@ -34,15 +34,21 @@ class Parallax:
     def __call__(self, *arguments: str | os.PathLike[str], secret: Mapping[str, str] | None = None) -> str:
         """Runs it; returns what it prints. `secret` are variables of its environment."""
         words = [os.fspath(argument) for argument in arguments]
-        done = subprocess.run(
+        with subprocess.Popen(
             [self.program, *words],
-            capture_output=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
             text=True,
             env={**os.environ, **(secret or {})},
-            check=False,
-        )
-        if done.returncode != 0:
-            said = (done.stderr or done.stdout).strip()
-            code = done.returncode if done.returncode > 0 else 130
+        ) as process:
+            try:
+                printed, complained = process.communicate()
+            except KeyboardInterrupt:
+                # The program was interrupted, too, and writes what it has.
+                process.wait()
+                raise
+        if process.returncode != 0:
+            said = (complained or printed).strip()
+            code = process.returncode if process.returncode > 0 else 130
             raise CommandError(f"`parallax {' '.join(words)}` said: {said}", code)
-        return done.stdout
+        return printed
