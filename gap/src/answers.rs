@@ -60,6 +60,22 @@ pub(crate) fn fitted_effects(setup: &Setup, fit: &Fit) -> Vec<FittedEffect> {
 /// early 1 (exponential) to 1.7 (uniform), with room for error.
 const MEAN_OF_JITTER: f64 = 3.0;
 
+/// Whether an effect on times may be how late those are on average that scatter by `spread` (s).
+pub(crate) fn is_mean_of(setup: &Setup, effect: &FittedEffect, spread: f64) -> bool {
+    let (from, to) = setup.experiment.span();
+    let late = |name: &str, share: f64| {
+        let value = effect.parameters.get(name).map(|value| value.value * share);
+        value.is_some_and(|late| (0.0..MEAN_OF_JITTER * spread).contains(&late))
+    };
+    match Effect::from_name(&effect.name) {
+        Some(Effect::Delay) => late("delay", 1.0),
+        Some(Effect::Lag) => effect.parameters.len() == 1 && late("time_constant", 1.0),
+        // What has parted at the end is twice the mean.
+        Some(Effect::ClockSkew) => late("skew", 0.5 * (to - from)),
+        _ => false,
+    }
+}
+
 /// All answers by probability. Effects on how readings scatter that count as causes are part of each.
 pub(crate) fn which(
     setup: &Setup,
@@ -77,16 +93,28 @@ pub(crate) fn which(
         .collect();
     out.push(Which { effects: Vec::new(), class: Vec::new(), probability: posterior.no_gap });
     // Readings and commands that come late by chance come late on average: a delay of that size is no cause of its own.
-    let scattered = readings.iter().filter(|r| r.name == Effect::Jitter.name());
-    let spread = scattered.filter_map(|r| Some(r.parameters.get("spread")?.value)).fold(0.0, f64::max);
+    let scattered = || readings.iter().filter(|r| r.name == Effect::Jitter.name());
+    let spread = scattered().filter_map(|r| Some(r.parameters.get("spread")?.value)).fold(0.0, f64::max);
+    let scatters = |e: &FittedEffect| scattered().any(|r| r.place == e.place);
     let (average, rest): (Vec<Which>, Vec<Which>) =
         out.into_iter().partition(|answer| match &answer.effects[..] {
             [only] if only.name == Effect::Delay.name() => {
                 only.parameters.values().all(|delay| delay.value < MEAN_OF_JITTER * spread)
             }
+            [only] => scatters(only) && is_mean_of(setup, only, spread),
             _ => false,
         });
     let mut out = rest;
+    for answer in out.iter_mut().filter(|answer| answer.effects.len() > 1) {
+        let mean = answer.effects.iter().position(|e| scatters(e) && is_mean_of(setup, e, spread));
+        let Some(mean) = mean else { continue };
+        let mean = answer.effects.remove(mean);
+        let label = format!("{}@{}", mean.name, mean.place);
+        for name in &mut answer.class {
+            let others: Vec<&str> = name.split(" + ").filter(|part| *part != label).collect();
+            *name = others.join(" + ");
+        }
+    }
     if let Some(none) = out.iter_mut().find(|answer| answer.effects.is_empty()) {
         none.probability += average.iter().map(|answer| answer.probability).sum::<f64>();
     }

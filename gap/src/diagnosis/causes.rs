@@ -2,6 +2,7 @@
 
 use parallax_model::effect::Effect;
 
+use crate::answers;
 use crate::posterior::Posterior;
 use crate::readings::{self, LostCommands, ReadingEffect};
 use crate::rows::Rows;
@@ -92,8 +93,10 @@ impl<'a> Models<'a> {
             // Predictions begin where such readings saw the machine: they are off as well.
             Some(off) => off > CHANCE * CHANCE * self.excess,
             None => readings::over_horizon(self.setup, self.shown, r).is_some_and(|moved| {
-                // Where the innovations say more for it than for the named answer, the size may be off by a factor of two.
-                let share = if -r.evidence > self.gain { CHANCE * CHANCE } else { CHANCE };
+                // Where the innovations say more for it than for the named answer, or that is but its mean, the size may be
+                // off by a factor of two.
+                let leads = -r.evidence > self.gain || self.has_mean_of(r);
+                let share = if leads { CHANCE * CHANCE } else { CHANCE };
                 moved > share * self.excess
             }),
         }
@@ -118,11 +121,18 @@ impl<'a> Models<'a> {
         readings::noise_beside(self.setup, self.shown, output, spread).is_some_and(|std| std < least)
     }
 
+    /// Whether the named answer holds what these times are late by on average.
+    fn has_mean_of(&self, r: &ReadingEffect) -> bool {
+        let spread = r.parameters.get("spread").map_or(0.0, |spread| spread.value);
+        let fitted = if self.named { answers::fitted_effects(self.setup, self.shown) } else { Vec::new() };
+        fitted.iter().any(|e| e.place == r.place && answers::is_mean_of(self.setup, e, spread))
+    }
+
     /// The form of a named effect is off by a little, which leaves traces where commands or readings change.
     fn of_form(&self, r: &ReadingEffect) -> bool {
         let effects = if self.named { &self.shown.hypothesis.effects[..] } else { &[] };
         let here = effects.iter().all(|at| at.place.to_string() == r.place);
         let share = if r.place.starts_with("input:") { OF_FORM_AT_INPUT } else { OF_FORM };
-        r.name == "jitter" && !here && -r.evidence < share * self.gain
+        r.name == "jitter" && !here && !self.has_mean_of(r) && -r.evidence < share * self.gain
     }
 }

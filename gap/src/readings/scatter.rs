@@ -20,7 +20,7 @@ use crate::innovation::{Segment, walk_plain};
 use crate::library;
 use crate::quantify;
 use crate::report::Value;
-use crate::search::Fit;
+use crate::search::{Fit, INEXACT};
 use crate::setup::Setup;
 use crate::simulator::wrapped;
 use crate::statistics::root_mean_square;
@@ -36,6 +36,10 @@ const RATE: usize = 2;
 
 /// Share of the innovations' size that a scatter must make up to be named.
 const NOTABLE: f64 = 0.2;
+
+/// Log evidence for late commands from which they are there, whatever the sizes of single innovations say, under a model
+/// that leaves nothing else: many small responses tell what no single one does.
+const CERTAIN: f64 = 20.0;
 
 /// Log density of a held-out reading that scatter of commands may cost where their responses say that it is there: the
 /// density knows nothing of how long each lasts (nats).
@@ -87,6 +91,7 @@ pub fn scatter(setup: &Setup, fit: &Fit) -> Vec<ReadingEffect> {
         let of_mean = (late.gain - late.log_evidence).max(0.0);
         // Which of the two it is, the commands' own sizes say.
         let times = late.log_evidence >= lost.gain - of_mean;
+        let exact = fit.shooting_error <= INEXACT;
         let jitter = Judged {
             name: "jitter",
             parameter: "spread",
@@ -94,6 +99,7 @@ pub fn scatter(setup: &Setup, fit: &Fit) -> Vec<ReadingEffect> {
             scale: late.spread / delays.lateness(),
             evidence: -2.0 * late.log_evidence,
             likelier: times,
+            certain: exact && late.log_evidence > CERTAIN,
         };
         let drops = Judged {
             name: "drops",
@@ -103,6 +109,7 @@ pub fn scatter(setup: &Setup, fit: &Fit) -> Vec<ReadingEffect> {
             scale: lost.rate.sqrt(),
             evidence: -2.0 * (lost.gain - of_mean),
             likelier: !times,
+            certain: false,
         };
         // What wants to be larger than it can be is something else.
         if late.spread < 0.95 * MOST_PERIODS * period {
@@ -371,6 +378,8 @@ struct Judged {
     evidence: f64,
     /// Whether it is the likelier of the two.
     likelier: bool,
+    /// Whether it is there even if single innovations are too small to show it.
+    certain: bool,
 }
 
 impl Judged {
@@ -379,10 +388,11 @@ impl Judged {
         let density = densities(&train, &test, self.scale);
         // A wrong mean lies along the kicks as well; chance alone makes innovations large where kicks are.
         let natural = train.floor(0.0) / root_mean_square(&train.size);
-        let by_size = train.by_size() - exchanged;
+        let by_size = if self.certain { f64::INFINITY } else { train.by_size() - exchanged };
         let evidence = self.evidence.max(-2.0 * by_size);
         let predicts = density.with > density.without - LOST_DENSITY;
-        let notable = self.likelier && train.is_white() && self.scale > NOTABLE * natural && predicts;
+        let large = self.certain || self.scale > NOTABLE * natural;
+        let notable = self.likelier && train.is_white() && large && predicts;
         Some(found(self.name, place.into(), (self.parameter, self.value), evidence, notable, density))
     }
 }
