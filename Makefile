@@ -3,7 +3,7 @@
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: test format lint unit docs package python deny clean
+.PHONY: test format lint unit docs package python deny reference clean
 
 test: format lint unit python docs deny
 
@@ -23,18 +23,19 @@ lint:
 unit: $(VENV)/ready
 	cargo test --workspace --features link
 
+# With the features of `lint`, whose checks of our crates' dependencies are then used again.
 docs:
-	RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps
+	RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --features link,parallax-runtime/conformance
 
 # The package as `pip` builds it, but in the tests' profile and with their features: what cargo has built for them is not built again.
 package: $(VENV)/ready
-	MATURIN_PEP517_ARGS="--profile dev --strip --features link" $(BIN)/pip install --quiet --disable-pip-version-check "./bindings[test]"
+	MATURIN_PEP517_ARGS="--profile dev --strip --features workspace" $(BIN)/pip install --quiet --disable-pip-version-check "./bindings[test]"
 
 python: package
 	$(BIN)/ruff check tests bindings benches runtime
 	$(BIN)/ruff format --check tests bindings benches runtime
 	$(BIN)/mypy --config-file bindings/pyproject.toml bindings/python/parallax
-	cargo build --features link
+	cargo test --workspace --features link --no-run    # the command line that the tests run: after `make unit` it is there
 	$(BIN)/python -m pytest bindings/tests
 
 # Its own profile: unoptimised it is built in a third of the time, and checks in three seconds.
@@ -46,6 +47,10 @@ $(DENY): | $(VENV)/ready
 # Licences, sources and versions of what we depend on, as deny.toml has them.
 deny: $(DENY)
 	$(DENY) check licenses bans sources
+
+# docs/cli.md, from what `--help` prints.
+reference:
+	cargo run --quiet --features link -- reference > out.cli.md && mv out.cli.md docs/cli.md
 
 clean:
 	cargo clean

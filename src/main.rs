@@ -1,8 +1,5 @@
 //! The command line `parallax`.
 
-mod cli;
-mod plot;
-
 fn main() -> std::process::ExitCode {
-    cli::main()
+    parallax::command_line(|kinds| kinds)
 }

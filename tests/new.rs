@@ -1,11 +1,12 @@
-//! `parallax new system`: every file that it writes is diagnosed as it was written.
+//! `parallax new`: every file that it writes is used as it was written.
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod command;
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use command::{Noise, fail, json, succeed};
 use parallax::model::plant::Plant;
@@ -200,4 +201,89 @@ fn a_log_that_says_too_little_is_refused() {
     fail(&folder, &["new", "system", "--from", "log", "--template", "arm"], 2, &["no measurement"]);
     fail(&folder, &["new", "system", "--from", "nowhere"], 2, &["nowhere"]);
     assert!(!folder.path().join("system.toml").exists());
+}
+
+#[test]
+fn a_new_graph_runs_under_both_clocks() {
+    for template in ["pendulum", "quadrotor"] {
+        let folder = tempfile::tempdir().unwrap();
+        let said = succeed(&folder, &["new", "graph", "--template", template, "--name", "mine"]);
+        assert!(said.contains("graph.toml written"), "{said}");
+        fail(&folder, &["new", "graph"], 2, &["graph.toml exists already", "--out"]);
+        // What it says comes next.
+        for line in said.lines().filter_map(|line| line.trim().strip_prefix("parallax ")) {
+            let line = line.replace("--duration 10", "--duration 3");
+            succeed(&folder, &line.split(' ').collect::<Vec<_>>());
+        }
+        let info = json(&folder, &["info", "out/mine/recording.mcap", "--json"]);
+        assert!(info["nodes"].as_array().unwrap().iter().any(|node| node["name"] == "agent"), "{info}");
+    }
+}
+
+/// The program that a new crate makes: cargo built it of the same files, as an example.
+fn built() -> PathBuf {
+    Path::new(env!("CARGO_BIN_EXE_parallax")).parent().unwrap().join("examples/new_node")
+}
+
+#[test]
+fn a_new_node_in_rust_is_a_crate_whose_program_runs_its_graph() {
+    let folder = tempfile::tempdir().unwrap();
+    let said = succeed(&folder, &["new", "node", "my_agent"]);
+    assert!(said.contains("cargo run --release -- sim graph.toml"), "{said}");
+    let crate_folder = folder.path().join("my_agent");
+    // The sources are those that the example is built of.
+    let templates = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/cli/new/templates/node");
+    for file in ["main.rs", "my_agent.rs"] {
+        let written = fs::read_to_string(crate_folder.join("src").join(file)).unwrap();
+        assert_eq!(written, fs::read_to_string(templates.join(file)).unwrap());
+    }
+    // Cargo understands the crate, and finds this checkout.
+    let metadata = Command::new(env!("CARGO"))
+        .args(["metadata", "--no-deps", "--offline", "--format-version", "1"])
+        .current_dir(&crate_folder)
+        .output()
+        .unwrap();
+    assert!(metadata.status.success(), "{}", String::from_utf8_lossy(&metadata.stderr));
+    let metadata: Value = serde_json::from_slice(&metadata.stdout).unwrap();
+    let dependency = &metadata["packages"][0]["dependencies"][0];
+    assert_eq!(dependency["path"], env!("CARGO_MANIFEST_DIR"), "{dependency}");
+
+    let run = |arguments: &[&str]| {
+        let output = Command::new(built()).args(arguments).current_dir(&crate_folder).output().unwrap();
+        let errors = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.success(), "{arguments:?}: {errors}");
+        String::from_utf8(output.stdout).unwrap()
+    };
+    run(&["sim", "graph.toml", "--duration", "10", "--out", "out/sim.mcap"]);
+    run(&["run", "graph.toml", "--duration", "2", "--out", "out/run.mcap"]);
+    // Its own program knows the kind, so that it is replayed, bit for bit.
+    assert!(run(&["replay", "out/sim.mcap"]).contains("exact: "));
+    let recording = parallax::runtime::recording::Recording::read(crate_folder.join("out/sim.mcap")).unwrap();
+    let log = recording.log();
+    let angles = &log.signal("camera.angle").unwrap().values;
+    assert!(angles[angles.len() - 100..].iter().all(|angle| angle.abs() < 0.4), "it never stood");
+    // The ready-made program does not know it, and says so.
+    fail(&crate_folder, &["sim", "graph.toml"], 2, &["my_agent"]);
+}
+
+#[test]
+fn a_new_node_has_a_name_of_its_own() {
+    let folder = tempfile::tempdir().unwrap();
+    fail(&folder, &["new", "node", "My-Agent"], 2, &["cannot be a node's name", "my_agent"]);
+    fail(&folder, &["new", "node", "match"], 2, &["`match` is taken"]);
+    fail(
+        &folder,
+        &["new", "node", "eye", "--parallax", "nowhere"],
+        2,
+        &["nowhere is no checkout", "--parallax"],
+    );
+    assert!(!folder.path().join("eye").exists());
+    succeed(&folder, &["new", "node", "eye", "--out", "deep/inside"]);
+    assert!(fs::read_to_string(folder.path().join("deep/inside/src/eye.rs")).unwrap().contains("struct Eye"));
+    fail(&folder, &["new", "node", "eye", "--out", "deep/inside"], 2, &["exists already"]);
+    // The module in Python names the class that its graph asks for.
+    succeed(&folder, &["new", "node", "eye", "--python"]);
+    let graph = fs::read_to_string(folder.path().join("eye/graph.toml")).unwrap();
+    assert!(graph.contains(r#"class = "eye:Eye""#), "{graph}");
+    assert!(fs::read_to_string(folder.path().join("eye/eye.py")).unwrap().contains("class Eye:"));
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -49,3 +50,17 @@ def compiled_once(tmp_path_factory):
     import parallax
 
     parallax.use_compilation_cache(tmp_path_factory.mktemp("jax"), 0.0)
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """Chromium, without a window."""
+    from playwright.sync_api import sync_playwright
+
+    program = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
+    assert program, "no chromium; .ci/run installs it (Debian: apt-get install chromium), or name one in CHROMIUM"
+    with sync_playwright() as playwright:
+        # As root, and in containers, there is no sandbox to be had; the pages are our own.
+        browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        yield browser
+        browser.close()

@@ -10,6 +10,7 @@ import sys
 import pytest
 
 from conftest import _program
+from pages import check
 
 
 def task(*arguments, interpreter=sys.executable):
@@ -17,7 +18,7 @@ def task(*arguments, interpreter=sys.executable):
     return subprocess.run(command, capture_output=True, text=True, timeout=500, check=False)
 
 
-def test_from_a_recording_to_a_policy_that_runs(tmp_path, monkeypatch):
+def test_from_a_recording_to_a_policy_that_runs(tmp_path, monkeypatch, browser):
     monkeypatch.setenv("PARALLAX_CACHE", str(tmp_path / "cache"))
     out = tmp_path / "out"
     few = ["--record", "8", "--steps", "4096", "--runs", "1", "--run", "1", "--seed", "11"]
@@ -43,6 +44,7 @@ def test_from_a_recording_to_a_policy_that_runs(tmp_path, monkeypatch):
     for part in ("What was identified", "Open-loop reconstruction", "Delays", "Training", "in real time", "<svg"):
         assert part in page
     assert 'src="http' not in page
+    check(browser, out / "report.html")
 
 
 def test_what_is_missing_is_said(tmp_path):

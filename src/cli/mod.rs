@@ -17,6 +17,7 @@ mod lockstep;
 mod new;
 mod output;
 mod python;
+mod reference;
 mod replay;
 mod run;
 mod sim;
@@ -28,8 +29,9 @@ mod withheld;
 
 use std::process::ExitCode;
 
-use clap::{ArgAction, Parser, Subcommand};
+use clap::{ArgAction, CommandFactory, Parser, Subcommand};
 use parallax_runtime::launch::{NODE_COMMAND, node_main};
+use parallax_runtime::registry::Registry;
 use tracing_subscriber::EnvFilter;
 
 const EXIT_CODES: &str = "\
@@ -83,7 +85,7 @@ enum Command {
     /// Bring in a log of another program: CSV, Parquet, a ROS 2 bag.
     #[command(after_help = EXIT_CODES)]
     Import(import::Arguments),
-    /// Write a file to begin with: a system.toml of what your simulator believes of a machine.
+    /// Write files to begin with: a system.toml of what your simulator believes, a graph.toml, a node of your own.
     #[command(after_help = EXIT_CODES)]
     New(new::Arguments),
     /// Say what is in a recording, a folder of logs, a graph or a system.
@@ -142,6 +144,9 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
+    /// Prints docs/cli.md.
+    #[command(name = reference::COMMAND, hide = true)]
+    Reference,
     /// One node of a run; the launcher starts it.
     #[command(name = NODE_COMMAND, hide = true)]
     Node {
@@ -151,8 +156,9 @@ enum Command {
     },
 }
 
-/// Reads the command line and does what it says.
-pub(crate) fn main() -> ExitCode {
+/// Reads the command line and does what it says; `own` adds kinds of node.
+pub(crate) fn main(own: fn(Registry) -> Registry) -> ExitCode {
+    python::add(own);
     let cli = Cli::parse();
     let level = ["warn", "info", "debug"][usize::from(cli.verbose.min(2))];
     // What zenoh says of every attempt to connect is for whoever looks for a fault in the network.
@@ -169,6 +175,10 @@ pub(crate) fn main() -> ExitCode {
         }
         Command::LatencyPeer { arguments } => {
             return parallax_runtime::latency::peer_main(arguments.into_iter());
+        }
+        Command::Reference => {
+            output::line(reference::page(Cli::command()).trim_end());
+            return ExitCode::SUCCESS;
         }
         Command::Doctor(arguments) => doctor::run(&arguments),
         Command::Latency(arguments) => latency::run(&arguments),

@@ -5,6 +5,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::OnceLock;
 
 use anyhow::anyhow;
 use parallax_runtime::graph::GraphSpec;
@@ -22,12 +23,24 @@ const ADVICE: &str =
 /// Finds the package without loading it.
 const LOOK: &str = "import importlib.util, sys; sys.exit(importlib.util.find_spec('parallax') is None)";
 
-/// The kinds of node that come with Parallax, and those written in Python.
+/// Adds the kinds of the program that this command line is part of.
+static OWN: OnceLock<fn(Registry) -> Registry> = OnceLock::new();
+
+/// From now on there are these kinds, too. Only the first call counts.
+pub(crate) fn add(own: fn(Registry) -> Registry) {
+    let _ = OWN.set(own);
+}
+
+/// The kinds of node that come with Parallax, those of the program itself, and those written in Python.
 pub(crate) fn registry() -> Registry {
     let kind = NodeKind::external(|_, _, _| {
         Err(NodeError::failed("it is written in Python, and runs in `parallax run` and `parallax sim` only"))
     });
-    parallax_nodes::registry().with(PYTHON, kind)
+    let kinds = parallax_nodes::registry().with(PYTHON, kind);
+    match OWN.get() {
+        Some(own) => own(kinds),
+        None => kinds,
+    }
 }
 
 /// The same, where nodes in Python are stepped by a simulated clock. The interpreter stands in the launch.toml beside the graph, or
@@ -66,6 +79,8 @@ pub(crate) fn programs(
         }
         let mut command = vec![interpreter.display().to_string(), "-m".into(), "parallax.worker".into()];
         if let Some(folder) = folder {
+            // The parent of a bare file name is empty.
+            let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
             command.extend(["--path".into(), std::path::absolute(folder)?.display().to_string()]);
         }
         programs.insert(node.name.clone(), command);

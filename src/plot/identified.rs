@@ -121,8 +121,8 @@ fn panel(pen: &mut Pen, output: &Reconstruction, series: &Series, top: f64, wide
 
 fn estimates(found: &Identified, wide: f64) -> Drawing {
     let mut pen = Pen::default();
-    let names = if wide > 500.0 { 260.0 } else { 150.0 };
-    let values = if wide > 500.0 { 330.0 } else { 110.0 };
+    let names = if wide > 500.0 { 260.0 } else { 105.0 };
+    let values = if wide > 500.0 { 330.0 } else { 155.0 };
     let (left, right) = (names + 10.0, wide - values - 10.0);
     for (index, estimate) in found.estimates.iter().enumerate() {
         let y = 14.0 + ROW * index as f64;

@@ -260,7 +260,7 @@ fn closed_loop_section(report: &Report) -> String {
         "{}: {}. {by} runs around each system, from the recorded initial states; intervals are over initial states, noise \
          and delays.",
         escape(&scores.task),
-        set(&closed_loop::made(scores))
+        escape(&closed_loop::made(scores))
     );
     let content = format!("<p>{}</p>\n{table}{figures}", escape(&closed_loop::sentence(scores)));
     section("In closed loop", &note, &content)
@@ -388,7 +388,7 @@ fn calibration(report: &Report) -> String {
     };
     let rows: String = report.calibration.iter().map(row).collect();
     let table = format!(
-        "<div class=\"scroll\"><table>\n<thead><tr><th scope=\"col\">parameter</th><th scope=\"col\">nominal</th>\
+        "<div class=\"scroll\"><table class=\"calibrated\">\n<thead><tr><th scope=\"col\">parameter</th><th scope=\"col\">nominal</th>\
          <th scope=\"col\">fitted ± std</th><th scope=\"col\" class=\"unit\">unit</th><th scope=\"col\">change</th>\
          <th scope=\"col\">in std</th><th scope=\"col\"></th></tr></thead>\n<tbody>\n{rows}</tbody>\n</table></div>\n"
     );

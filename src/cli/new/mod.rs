@@ -1,6 +1,8 @@
 //! `parallax new`: files to begin with.
 
 mod fill;
+mod graph;
+mod node;
 mod template;
 
 use std::path::{Path, PathBuf};
@@ -27,6 +29,10 @@ pub(crate) struct Arguments {
 enum What {
     /// A commented system.toml: what your simulator believes of a machine.
     System(SystemArguments),
+    /// A commented graph.toml, for `parallax sim` and `parallax run`.
+    Graph(graph::Arguments),
+    /// A node of your own, in Rust or in Python, with a graph that it plugs into.
+    Node(node::Arguments),
 }
 
 #[derive(Args)]
@@ -48,6 +54,8 @@ struct SystemArguments {
 pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     match &arguments.what {
         What::System(arguments) => system(arguments),
+        What::Graph(arguments) => graph::run(arguments),
+        What::Node(arguments) => node::run(arguments),
     }
 }
 
@@ -71,16 +79,7 @@ fn system(arguments: &SystemArguments) -> Result<Outcome, Failure> {
         let signals = log.signals.iter().map(|signal| (signal.name.as_str(), signal.unit.as_str()));
         system.check_signals(&signals.collect::<Vec<_>>()).runtime()?;
     }
-    if out.exists() {
-        return Err(Failure::input(anyhow!(
-            "{} exists already, and is not overwritten; choose another file with --out",
-            out.display()
-        )));
-    }
-    make_parent(out)?;
-    std::fs::write(out, text)
-        .with_context(|| format!("{} cannot be written", out.display()))
-        .map_err(Failure::input)?;
+    write_new(&[(out.clone(), text)])?;
     output::line(format!("{} written, of the template `{}`", out.display(), template.name()));
     let log = arguments.from.as_deref().map_or("LOG".into(), |path| path.display().to_string());
     output::line(format!(
@@ -96,4 +95,21 @@ fn read(path: &Path) -> Result<Log, Failure> {
     } else {
         Ok(Recording::read(path).input()?.log())
     }
+}
+
+/// Writes all files, with their folders; none where one of them exists.
+fn write_new(files: &[(PathBuf, String)]) -> Result<(), Failure> {
+    if let Some((path, _)) = files.iter().find(|(path, _)| path.exists()) {
+        return Err(Failure::input(anyhow!(
+            "{} exists already, and is not overwritten; choose another place with --out",
+            path.display()
+        )));
+    }
+    for (path, text) in files {
+        make_parent(path)?;
+        std::fs::write(path, text)
+            .with_context(|| format!("{} cannot be written", path.display()))
+            .map_err(Failure::input)?;
+    }
+    Ok(())
 }

@@ -20,9 +20,11 @@ if TYPE_CHECKING:
 
 __all__ = ["write_report"]
 
-STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}
-table{border-collapse:collapse;margin:1rem 0}td,th{padding:.2rem .8rem;border-bottom:1px solid #ddd;text-align:left}
-svg{max-width:100%;height:auto}p.note{color:#666}iframe{width:100%;height:44rem;border:1px solid #ddd}"""
+STYLE = """figure.drawn{background:#fff;padding:6px;break-inside:avoid}
+figure.drawn svg{width:100%;height:auto;display:block}
+.inner h2{font-size:14px}.inner>section{border:0;margin-top:14px;padding-top:0}.scroll th,.scroll td{text-align:left}
+@media (max-width:760px){.scroll th,.scroll td{white-space:normal}}"""
+"""What this page has beside the style of all pages."""
 SVG = re.compile(r"<svg\b.*?</svg>", re.DOTALL)
 TRUTHS = {"J": "inertia", "K": "motor", "b": "viscous", "c": "coulomb", "actuator": "delay"}
 """What the machine calls what is identified."""
@@ -37,39 +39,60 @@ def write_report(
 ) -> None:
     """Writes `report.html`, which needs no other file."""
     curves = plot_curves(trainings, out / "curves.svg")
+    identified = (out / "identify" / "report.html").read_text(encoding="utf-8")
     parts = [
         "<h1>The pendulum's task</h1>",
-        f"<p>A machine that nobody had measured (seed {result.seed}) was recorded, identified, and given policies that "
-        "were trained on what had been found. What it was stands beside the estimates; it was asked for at last.</p>",
-        "<h2>What was identified</h2>",
+        f"<p class=note>A machine that nobody had measured (seed {result.seed}) was recorded, identified, and given "
+        "policies that were trained on what had been found. What it was stands beside the estimates; it was asked for "
+        "at last.</p>",
+        "<section><h2>What was identified</h2>",
         _estimates(result),
         *(f"<p class=note>{html.escape(remark)}</p>" for remark in result.identified["remarks"]),
-        "<h2>Open-loop reconstruction</h2>",
-        _page(out / "identify" / "report.html"),
-        "<h2>Delays</h2>",
-        _page(out / "delays.html"),
+        "</section><section><h2>Open-loop reconstruction</h2>",
+        _inner(identified),
+        "</section><section><h2>Delays</h2>",
+        _inner((out / "delays.html").read_text(encoding="utf-8")),
         _missing(delays),
-        "<h2>Training</h2>",
-        "".join(SVG.findall(curves.read_text(encoding="utf-8"))),
+        "</section><section><h2>Training</h2>",
+        _drawn(curves.read_text(encoding="utf-8")),
         _trainings(result),
-        "<h2>On the machine, in real time</h2>",
-        "<p>Upright is within 10° and 0.5 rad/s. Each number is a run; the second counts from when it first stood.</p>",
+        "</section><section><h2>On the machine, in real time</h2>",
+        "<p class=note>Upright is within 10° and 0.5 rad/s. Each number is a run; the second counts from when it first "
+        "stood.</p>",
         _variants(result),
         _traces(traces),
+        "</section>",
     ]
-    text = f"<!doctype html><meta charset=utf-8><title>The pendulum's task</title><style>{STYLE}</style>"
-    (out / "report.html").write_text(text + "\n".join(parts), encoding="utf-8")
+    style = _between(identified, "<style>", "</style>") + STYLE
+    text = (
+        '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"/>'
+        '<meta name="viewport" content="width=device-width, initial-scale=1"/>'
+        '<meta name="color-scheme" content="light dark"/>'
+        f"<title>The pendulum's task</title><style>{style}</style></head><body><main>"
+    )
+    (out / "report.html").write_text(text + "\n".join(parts) + "</main></body></html>", encoding="utf-8")
 
 
-def _page(path: Path) -> str:
-    """A page within the page: both keep their styles."""
-    return f'<iframe srcdoc="{html.escape(path.read_text(encoding="utf-8"))}"></iframe>'
+def _between(text: str, start: str, end: str) -> str:
+    """What stands between two marks, of which the second is looked for from the end."""
+    return text.partition(start)[2].rpartition(end)[0]
+
+
+def _inner(page: str) -> str:
+    """The figures of another page: both have one style."""
+    body = _between(page, "<main>", "</main>")
+    return f"<div class=inner>{body[body.index('<section') :]}</div>"
+
+
+def _drawn(svg: str) -> str:
+    """Pictures whose letters are black, on white paper."""
+    return "".join(f"<figure class=drawn>{picture}</figure>" for picture in SVG.findall(svg))
 
 
 def _table(head: list[str], rows: list[list[str]]) -> str:
     cells = "".join(f"<th>{html.escape(cell)}</th>" for cell in head)
     body = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-    return f"<table><tr>{cells}</tr>{body}</table>"
+    return f"<div class=scroll><table><thead><tr>{cells}</tr></thead><tbody>{body}</tbody></table></div>"
 
 
 def _estimates(result: Result) -> str:
@@ -131,4 +154,4 @@ def _traces(traces: Mapping[str, tuple[Floats, Floats]]) -> str:
     figure.supylabel("degrees from upright", fontsize=9)
     text = io.StringIO()
     figure.savefig(text, format="svg")
-    return "".join(SVG.findall(text.getvalue()))
+    return _drawn(text.getvalue())
