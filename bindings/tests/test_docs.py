@@ -22,6 +22,7 @@ PAGES = {
     "docs/python-nodes.md": r"agent +\d+ +\d+",
     "docs/training.md": None,
     "docs/tasks.md": None,
+    "docs/identification.md": None,
     "docs/policy.md": r"upright for \d+% of 10 s",
 }
 # Training shows that it works in fewer steps.
