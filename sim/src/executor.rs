@@ -9,65 +9,16 @@ use parallax_runtime::graph::Graph;
 use parallax_runtime::node::{ErasedNode, NodeError, Step};
 use parallax_runtime::random::{Purpose, stream};
 use parallax_runtime::recording::{
-    Change, Clock, Fault, FaultKind, Loss, LossReason, MemorySink, Recording, RecordingSink, SinkError,
-    StepView,
+    Change, Clock, Fault, FaultKind, Loss, LossReason, MemorySink, Recording, RecordingSink, StepView,
 };
-use parallax_runtime::schedule::{Account, GateError, Inbox, Wait};
+use parallax_runtime::schedule::{GateError, Inbox, Wait};
 use parallax_runtime::time::Nanos;
-use parallax_runtime::tuning::{TuningError, apply};
+use parallax_runtime::tuning::apply;
 use rand_chacha::ChaCha8Rng;
 
-use crate::changes::{ChangePlan, ChangesError, Planned};
+use crate::changes::{ChangePlan, Planned};
 use crate::event::{Class, Event, Queue};
-
-/// Why a graph could not be run under the simulated clock.
-#[derive(Debug, thiserror::Error)]
-pub enum SimError {
-    /// A node could not be built.
-    #[error("node `{node}` cannot be built: {source}")]
-    Build {
-        /// The node.
-        node: String,
-        /// Why.
-        source: NodeError,
-    },
-    /// The recording could not be written.
-    #[error(transparent)]
-    Sink(#[from] SinkError),
-    /// The executor and a gate disagree: a fault of this program, not of the graph.
-    #[error("the schedule of node `{node}` broke at {time} ns, please report this: {source}")]
-    Gate {
-        /// The node.
-        node: String,
-        /// When.
-        time: Nanos,
-        /// How.
-        source: GateError,
-    },
-    /// Real time cannot be scaled by this.
-    #[error("a real-time factor of {factor} is not possible; it has to be a positive number")]
-    RealTimeFactor {
-        /// The factor.
-        factor: f64,
-    },
-    /// What is planned to be changed does not fit the graph.
-    #[error(transparent)]
-    Changes(#[from] ChangesError),
-    /// A node does not take what is planned to be changed in it.
-    #[error("before step {step}: {source}")]
-    Change {
-        /// The step.
-        step: u64,
-        /// Why.
-        source: TuningError,
-    },
-    /// Nothing can run for this long.
-    #[error("a duration of {duration} ns is not possible; it has to be positive")]
-    Duration {
-        /// The duration.
-        duration: Nanos,
-    },
-}
+use crate::outcome::{ConnectionAccount, Outcome, SimError};
 
 /// Runs a graph under a simulated clock: computation and communication delays are drawn from the graph's distributions,
 /// one random stream per node and per connection. One seed gives one run, bit for bit.
@@ -79,34 +30,6 @@ pub struct Executor {
     /// Whether nodes are left out: steps run when they would and send their initial messages.
     timing_only: bool,
     changes: ChangePlan,
-}
-
-/// What a run came to.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Outcome {
-    /// Steps that ran to their end.
-    pub steps: u64,
-    /// Where the messages of each connection are, in the order of the graph.
-    pub connections: Vec<ConnectionAccount>,
-    /// Nodes that ended before the run did.
-    pub faults: Vec<Fault>,
-    /// Changes that were planned for steps that were never made.
-    pub changes_left: usize,
-    /// When a node said that the run is over ([`NodeError::Over`]): it took so long, and no longer.
-    pub over: Option<Nanos>,
-}
-
-/// Where the messages of one connection are at the end of a run.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct ConnectionAccount {
-    /// The connection, `from->to`.
-    pub connection: String,
-    /// Messages sent into it.
-    pub sent: u64,
-    /// Messages under way, or arrived and not yet seen.
-    pub in_flight: u64,
-    /// The rest.
-    pub account: Account,
 }
 
 impl Executor {

@@ -8,7 +8,8 @@ use parallax_runtime::time::Nanos;
 use rayon::prelude::*;
 
 use crate::episode::Episode;
-use crate::executor::{Executor, SimError};
+use crate::executor::Executor;
+use crate::outcome::SimError;
 
 /// Draws the schedule of one run: bit for bit that of [`Executor`] with this seed, whatever the graph's policies. Only
 /// what follows from outputs cannot be known here: a computation delay that does is what the graph expects of it (tables

@@ -65,13 +65,15 @@ mod event;
 mod executor;
 mod generate;
 pub mod identify;
+mod outcome;
 mod replay;
 pub mod supergraph;
 mod trajectory;
 
 pub use changes::{ChangePlan, ChangesError};
 pub use episode::Episode;
-pub use executor::{ConnectionAccount, Executor, Outcome, SimError};
+pub use executor::Executor;
 pub use generate::{generate, generate_many};
+pub use outcome::{ConnectionAccount, Outcome, SimError};
 pub use replay::{Difference, NodeReplay, Override, ReplayError, ReplayOptions, ReplayReport, replay};
 pub use trajectory::{NodeTrajectory, trajectories};

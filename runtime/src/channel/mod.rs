@@ -35,14 +35,17 @@ pub(crate) mod futex;
 mod populate;
 mod port;
 mod space;
+mod stale;
 mod wake;
 
 use std::io;
 use std::path::PathBuf;
 
 pub use port::{Endpoint, Loan, Publisher, Service, Subscriber, View};
-pub use space::{Space, clean_stale};
-pub(crate) use space::{free_bytes, live_directories, stale_runs};
+pub use space::Space;
+pub(crate) use space::free_bytes;
+pub use stale::clean_stale;
+pub(crate) use stale::{live_directories, stale_runs};
 pub use wake::{Listener, Waker};
 
 /// What the two ends of a channel must agree on.

@@ -1,5 +1,6 @@
 //! Publishers and subscribers: the thin layer over iceoryx2.
 
+use std::cell::Cell;
 use std::fmt::Debug;
 use std::mem::ManuallyDrop;
 use std::ops::{Deref, DerefMut};
@@ -39,6 +40,8 @@ pub struct Service {
 /// The sending end of a channel.
 #[derive(Debug)]
 pub struct Publisher {
+    /// The place of the next message, taken while there was time.
+    ready: Ready,
     port: iceoryx2::port::publisher::Publisher<Ipc, [u64], ()>,
     factory: PortFactory<Ipc, [u64], ()>,
     topic: Topic,
@@ -47,11 +50,37 @@ pub struct Publisher {
 /// The receiving end of a channel.
 #[derive(Debug)]
 pub struct Subscriber {
+    /// The last message that was looked at. Its place is given back when the next one is looked for, and not before what it
+    /// led to has been done.
+    last: Last,
     port: iceoryx2::port::subscriber::Subscriber<Ipc, [u64], ()>,
     topic: Topic,
     /// The thread that it was made in, and stays in.
     thread: ThreadId,
 }
+
+/// A message that is not begun yet.
+#[derive(Default)]
+struct Ready(Cell<Option<iceoryx2::sample_mut::SampleMut<Ipc, [u64], ()>>>);
+
+impl Debug for Ready {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Ready")
+    }
+}
+
+/// A message that was looked at.
+#[derive(Default)]
+struct Last(Cell<Option<iceoryx2::sample::Sample<Ipc, [u64], ()>>>);
+
+impl Debug for Last {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Last")
+    }
+}
+
+/// Words of a message that is small enough to be written to ahead of its time.
+const SMALL: usize = 512;
 
 /// A message being written, in the place in shared memory from which it is read.
 #[derive(Debug)]
@@ -233,7 +262,7 @@ impl Service {
             .backpressure_strategy(BackpressureStrategy::DiscardData)
             .create()
             .map_err(|e| failed(&self.topic.name, "publish")(&e))?;
-        Ok(Publisher { port, factory: self.factory, topic: self.topic })
+        Ok(Publisher { ready: Ready::default(), port, factory: self.factory, topic: self.topic })
     }
 
     /// A receiving end.
@@ -248,7 +277,8 @@ impl Service {
             .buffer_size(self.topic.buffer.max(1))
             .create()
             .map_err(|e| failed(&self.topic.name, "subscribe")(&e))?;
-        Ok(Subscriber { port, topic: self.topic.clone(), thread: std::thread::current().id() })
+        let thread = std::thread::current().id();
+        Ok(Subscriber { last: Last::default(), port, topic: self.topic.clone(), thread })
     }
 }
 
@@ -259,10 +289,56 @@ impl Publisher {
     /// # Errors
     ///
     /// [`ChannelError::TooLong`], or [`ChannelError::Transport`].
-    pub fn send(&self, words: usize, word: impl FnMut(usize) -> u64) -> Result<usize, ChannelError> {
+    pub fn send(&self, words: usize, mut word: impl FnMut(usize) -> u64) -> Result<usize, ChannelError> {
+        self.send_filled(words, |place| {
+            place.iter_mut().enumerate().for_each(|(index, place)| *place = word(index));
+        })
+    }
+
+    /// As [`send`](Self::send), with a message that `fill` writes whole.
+    ///
+    /// # Errors
+    ///
+    /// [`ChannelError::TooLong`], or [`ChannelError::Transport`].
+    pub(crate) fn send_filled(
+        &self,
+        words: usize,
+        fill: impl FnOnce(&mut [u64]),
+    ) -> Result<usize, ChannelError> {
+        let mut sample = self.place(words, "send")?;
+        fill(sample.payload_mut());
+        sample.send().map_err(|e| failed(&self.topic.name, "send")(&e))
+    }
+
+    /// Takes the place of the next message, of the greatest length, now that there is time: to take it back from a receiver
+    /// on another core, and to get its memory into this core's cache, costs as much as to send it. What cannot be done now
+    /// is done, or fails, when the message is sent.
+    pub(crate) fn prepare(&self) {
+        if let Some(ready) = self.ready.0.take() {
+            return self.ready.0.set(Some(ready));
+        }
+        let Ok(mut sample) = self.place(self.topic.words, "prepare") else { return };
+        if self.topic.words <= SMALL {
+            sample.payload_mut().fill(0);
+        }
+        self.ready.0.set(Some(sample));
+    }
+
+    fn place(
+        &self,
+        words: usize,
+        what: &'static str,
+    ) -> Result<iceoryx2::sample_mut::SampleMut<Ipc, [u64], ()>, ChannelError> {
         self.check(words)?;
-        let sample = self.port.loan_slice_uninit(words).map_err(|e| failed(&self.topic.name, "send")(&e))?;
-        sample.write_from_fn(word).send().map_err(|e| failed(&self.topic.name, "send")(&e))
+        match self.ready.0.take() {
+            Some(ready) if ready.payload().len() == words => return Ok(ready),
+            // One that does not fit is given back: only one may be taken at a time.
+            other => drop(other),
+        }
+        let sample = self.port.loan_slice_uninit(words).map_err(|e| failed(&self.topic.name, what)(&e))?;
+        // SAFETY: the words lie in a mapped file, whose bytes are always initialised: with zeros at first, with an
+        // earlier message later. Every bit pattern is a valid u64.
+        Ok(unsafe { sample.assume_init() })
     }
 
     /// The place for a message of `words` words, to be written and then [sent](Loan::send): nothing is copied. Words
@@ -272,15 +348,7 @@ impl Publisher {
     ///
     /// [`ChannelError::TooLong`], or [`ChannelError::Transport`].
     pub fn loan(&self, words: usize) -> Result<Loan<'_>, ChannelError> {
-        self.check(words)?;
-        let sample = self
-            .port
-            .loan_slice_uninit(words)
-            .map_err(|e| failed(&self.topic.name, "begin a message")(&e))?;
-        // SAFETY: the words lie in a mapped file, whose bytes are always initialised: with zeros at first, with an
-        // earlier message later. Every bit pattern is a valid u64.
-        let sample = unsafe { sample.assume_init() };
-        Ok(Loan { sample, topic: &self.topic })
+        Ok(Loan { sample: self.place(words, "begin a message")?, topic: &self.topic })
     }
 
     fn check(&self, words: usize) -> Result<(), ChannelError> {
@@ -324,9 +392,11 @@ impl Subscriber {
     ///
     /// [`ChannelError::Transport`].
     pub fn receive(&self, take: impl FnOnce(&[u64])) -> Result<bool, ChannelError> {
+        drop(self.last.0.take());
         match self.port.receive() {
             Ok(Some(sample)) => {
                 take(words(&sample, self.topic.words));
+                self.last.0.set(Some(sample));
                 Ok(true)
             }
             Ok(None) => Ok(false),
@@ -340,6 +410,7 @@ impl Subscriber {
     ///
     /// [`ChannelError::Transport`], also when too many views are kept.
     pub fn take(&self) -> Result<Option<View>, ChannelError> {
+        drop(self.last.0.take());
         let taken = self.port.receive().map_err(|e| failed(&self.topic.name, "receive")(&e))?;
         Ok(taken.map(|sample| {
             let words = NonNull::from(words(&sample, self.topic.words));

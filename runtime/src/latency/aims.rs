@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 
+use super::turns::interval;
 use super::{Carrier, Case, Delays, Report, Row, Wait};
 
 /// One comparison.
@@ -15,8 +16,23 @@ pub struct Aim {
     pub limit_ns: f64,
     /// Measured by limit: at most 1 when the aim is reached.
     pub ratio: f64,
+    /// Where the ratio lies, as far as the turns can tell (95 %); `None` where there were too few turns, or where the limit
+    /// was not measured.
+    pub interval: Option<(f64, f64)>,
     /// Whether it is reached.
-    pub reached: bool,
+    pub verdict: Verdict,
+}
+
+/// Whether an aim is reached.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Verdict {
+    /// It is.
+    Reached,
+    /// It is not.
+    Missed,
+    /// The interval of the ratio holds 1: these turns cannot tell.
+    Undecided,
 }
 
 impl Aim {
@@ -27,8 +43,29 @@ impl Aim {
             measured_ns: measured,
             limit_ns: limit,
             ratio: measured / limit,
-            reached: measured <= limit,
+            interval: None,
+            verdict: if measured <= limit { Verdict::Reached } else { Verdict::Missed },
         })
+    }
+
+    /// A percentile held against what follows from the same one of a floor.
+    fn beside(
+        what: impl Into<String>,
+        measured: &Delays,
+        floor: Option<&Delays>,
+        percent: f64,
+        limit: impl Fn(f64) -> f64,
+    ) -> Option<Self> {
+        let floor = floor?;
+        let aim = Self::new(what, measured.at(percent), Some(limit(floor.at(percent)? as f64)))?;
+        let interval = interval(measured, floor, percent, limit);
+        let verdict = match interval {
+            Some((_, high)) if high <= 1.0 => Verdict::Reached,
+            Some((low, _)) if low > 1.0 => Verdict::Missed,
+            Some(_) => Verdict::Undecided,
+            None => aim.verdict,
+        };
+        Some(Self { interval, verdict, ..aim })
     }
 }
 
@@ -39,38 +76,41 @@ pub fn aims(report: &Report) -> Vec<Aim> {
         let wanted = Case { carrier, ..*like };
         report.rows.iter().find(|row| row.case == wanted)
     };
-    let times = |row: Option<&Row>, percent: f64, factor: f64, add: f64| {
-        Some(row?.one_way.at(percent)? as f64 * factor + add)
-    };
     let small = report.rows.iter().filter(|row| row.case.carrier == Carrier::Graph && row.case.payload <= 64);
     for row in small {
         let place = place(&row.case);
         match row.case.wait {
             Wait::Spin => {
-                let floor = find(Carrier::Iceoryx2, &row.case);
+                let floor = find(Carrier::Iceoryx2, &row.case).map(|row| &row.one_way);
                 for percent in [50.0, 99.0] {
-                    aims.extend(Aim::new(
+                    aims.extend(Aim::beside(
                         format!("node to node, {place}, p{percent}: 1.3 x raw iceoryx2"),
-                        row.one_way.at(percent),
-                        times(floor, percent, 1.3, 0.0),
+                        &row.one_way,
+                        floor,
+                        percent,
+                        |floor| floor * 1.3,
                     ));
                 }
             }
             Wait::Block => {
-                let floor = find(Carrier::Futex, &row.case);
-                aims.extend(Aim::new(
+                let floor = find(Carrier::Futex, &row.case).map(|row| &row.one_way);
+                aims.extend(Aim::beside(
                     format!("node to node, {place}, p50: 1.15 x a raw futex wake + 2 us"),
-                    row.one_way.at(50.0),
-                    times(floor, 50.0, 1.15, 2000.0),
+                    &row.one_way,
+                    floor,
+                    50.0,
+                    |floor| floor * 1.15 + 2000.0,
                 ));
             }
             Wait::SpinThenBlock => {}
         }
         if let Some(recorded) = find(Carrier::RecordedGraph, &row.case) {
-            aims.extend(Aim::new(
+            aims.extend(Aim::beside(
                 format!("recorded, {place}, p99: 1.1 x not recorded"),
-                recorded.one_way.at(99.0),
-                times(Some(row), 99.0, 1.1, 0.0),
+                &recorded.one_way,
+                Some(&row.one_way),
+                99.0,
+                |unrecorded| unrecorded * 1.1,
             ));
         }
     }
@@ -82,19 +122,22 @@ pub fn aims(report: &Report) -> Vec<Aim> {
         let Some(least) = rows().filter(like).min_by_key(|row| row.case.payload) else { continue };
         if most.case.payload > least.case.payload {
             let (large, small) = (most.case.payload, least.case.payload);
-            aims.extend(Aim::new(
+            aims.extend(Aim::beside(
                 format!("{carrier}, {large} bytes, p50: 1.1 x {small} bytes"),
-                most.one_way.at(50.0),
-                times(Some(least), 50.0, 1.1, 0.0),
+                &most.one_way,
+                Some(&least.one_way),
+                50.0,
+                |small| small * 1.1,
             ));
         }
     }
     aims.extend(Aim::new("around a step, recorded, p50: 1 us", report.step.at(50.0), Some(1000.0)));
-    let bare = |delays: &Delays| delays.at(99.0).map(|late| late as f64 * 1.2);
-    aims.extend(Aim::new(
+    aims.extend(Aim::beside(
         "start of a step at 1 kHz, p99: 1.2 x bare clock_nanosleep",
-        report.lateness.at(99.0),
-        bare(&report.bare_lateness),
+        &report.lateness,
+        Some(&report.bare_lateness),
+        99.0,
+        |bare| bare * 1.2,
     ));
     aims
 }
@@ -141,7 +184,8 @@ mod tests {
             warnings: Vec::new(),
         };
         let aims = aims(&report);
-        let reached: Vec<(bool, f64)> = aims.iter().map(|aim| (aim.reached, aim.limit_ns)).collect();
+        let reached: Vec<(bool, f64)> =
+            aims.iter().map(|aim| (aim.verdict == Verdict::Reached, aim.limit_ns)).collect();
         assert_eq!(reached.len(), 4, "{aims:?}: without samples nothing is said of steps");
         let expected = [(true, 1300.0), (true, 1300.0), (false, 13_500.0), (false, 1100.0)];
         for ((got, limit), (want, about)) in reached.iter().zip(expected) {

@@ -12,6 +12,8 @@ const LONGEST: u64 = 60_000_000_000;
 #[derive(Debug, Clone)]
 pub struct Delays {
     histogram: Histogram<u64>,
+    /// By turn, for those that were [added by turns](Self::add_turn): each delay in nanoseconds, and how often it occurred.
+    turns: Vec<Vec<(u64, u64)>>,
 }
 
 /// One point of a distribution.
@@ -33,7 +35,10 @@ impl Delays {
     /// No delays yet.
     pub fn new() -> Self {
         let histogram = Histogram::new_with_bounds(1, LONGEST, 3);
-        Self { histogram: histogram.expect("bounds and digits are what the histogram allows") }
+        Self {
+            histogram: histogram.expect("bounds and digits are what the histogram allows"),
+            turns: Vec::new(),
+        }
     }
 
     /// Counts a delay. One below a nanosecond counts as one nanosecond, one above a minute as a minute.
@@ -56,6 +61,19 @@ impl Delays {
             // Within the histogram's bounds nothing is refused.
             let _ = self.histogram.record_correct(delay, period);
         }
+    }
+
+    /// Counts what one turn of a measurement gave.
+    pub fn add_turn(&mut self, turn: &Self) {
+        // Both have the same bounds.
+        let _ = self.histogram.add(&turn.histogram);
+        let counts = turn.histogram.iter_recorded();
+        self.turns.push(counts.map(|value| (value.value_iterated_to(), value.count_at_value())).collect());
+    }
+
+    /// What each turn gave.
+    pub(super) fn turns(&self) -> &[Vec<(u64, u64)>] {
+        &self.turns
     }
 
     /// How many there are.

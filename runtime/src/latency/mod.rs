@@ -20,12 +20,13 @@ mod graph;
 mod link;
 mod peer;
 mod place;
+mod turns;
 
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
-pub use aims::{Aim, aims};
+pub use aims::{Aim, Verdict, aims};
 pub use delays::{Delays, Percentile};
 pub use error::LatencyError;
 pub use graph::{NODE_COMMAND, node_main};
@@ -224,19 +225,28 @@ pub fn measure(options: &Options, mut progress: impl FnMut(f64) -> bool) -> Resu
             // Every other round goes backwards, so that nobody always follows the same neighbour.
             let at = if round % 2 == 0 { at } else { options.cases.len() - 1 - at };
             let row = &mut report.rows[at];
+            let mut turn = empty(&row.case);
             let warnings = match row.case.carrier {
-                Carrier::Graph | Carrier::RecordedGraph => graph::exchange(row, options, slice)?,
-                _ => floor::exchange(row, options, slice)?,
+                Carrier::Graph | Carrier::RecordedGraph => graph::exchange(&mut turn, options, slice)?,
+                _ => floor::exchange(&mut turn, options, slice)?,
             };
+            row.one_way.add_turn(&turn.one_way);
+            row.round_trip.add_turn(&turn.round_trip);
             warn(&mut report.warnings, warnings);
             done()?;
         }
-        graph::overhead(&mut report.step, options, true)?;
-        graph::overhead(&mut report.step_unrecorded, options, false)?;
+        for (all, recorded) in [(&mut report.step, true), (&mut report.step_unrecorded, false)] {
+            let mut turn = Delays::new();
+            graph::overhead(&mut turn, options, recorded)?;
+            all.add_turn(&turn);
+        }
         done()?;
-        let warnings = graph::lateness(&mut report.lateness, options, slice)?;
+        let (mut turn, mut bare) = (Delays::new(), Delays::new());
+        let warnings = graph::lateness(&mut turn, options, slice)?;
         warn(&mut report.warnings, warnings);
-        place::bare_lateness(&mut report.bare_lateness, options.cores[0], true, slice);
+        place::bare_lateness(&mut bare, options.cores[0], true, slice);
+        report.lateness.add_turn(&turn);
+        report.bare_lateness.add_turn(&bare);
         done()?;
     }
     Ok(report)

@@ -11,8 +11,8 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::desk::{By, Told, Wish};
+use super::ledger::Ledger;
 use super::link::{News, Word};
-use super::record::Ledger;
 use super::report::Exit;
 use crate::recording::{Clock, ClockReading, Fault};
 use crate::time::Nanos;

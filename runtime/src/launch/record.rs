@@ -10,28 +10,18 @@ use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use serde::{Deserialize, Serialize};
-
 use super::Rotate;
 use super::control::{Answer, Line, Order};
-use super::desk::{self, By};
 use super::error::RunError;
+use super::ledger::Ledger;
 use super::link::Placement;
-use super::plan::{
-    self, CHANGE, CHANGE_WORDS, CONSUMED, INITIAL, INPUT_HEAD, LOSS, LOSS_WORDS, REPLACED, RESET, STEP,
-    STEP_HEAD, Settings,
-};
+use super::plan::{self, CHANGE, LOSS, REPLACED, STEP, Settings};
 use super::priority::give_way;
+use super::unpack::{self, NO_RECORD};
 use crate::channel::{Endpoint, Space, Subscriber};
-use crate::data::bytes;
 use crate::graph::{Graph, NodePlan};
-use crate::node::Consumed;
-use crate::recording::{
-    Access, Change, ChangeKind, Clock, ClockReading, Description, Fault, FaultKind, InputRecord, Loss,
-    RecordingError, RecordingWriter, StepRecord,
-};
+use crate::recording::{Access, Clock, ClockReading, Description, Fault, RecordingError, RecordingWriter};
 use crate::time::Nanos;
-use crate::tuning::{Parameter, Setting};
 
 /// What the recorder is called among nodes, whose names are made of letters, digits and underscores.
 pub(super) const NAME: &str = "@recorder";
@@ -46,57 +36,8 @@ const CERTAIN: Duration = Duration::from_secs(1);
 const RETRY: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(30));
 /// A launcher that is gone leaves nodes that stop by themselves; they are recorded until they are silent for so long.
 const SILENCE: Duration = Duration::from_millis(300);
-/// Messages that one record may call lost: more cannot have been under way.
-const MOST_LOST: u64 = 1 << 20;
 /// In place of the number of a node's next record: this machine does not know what came before.
 const UNKNOWN: u64 = u64::MAX;
-/// What is said of what comes as a record and is none.
-const NO_RECORD: &str =
-    "a record has a form that no record has: somebody wrote into the shared memory of the run";
-/// Where the ledger lies in the run's directory.
-const LEDGER: &str = "recorder.json";
-
-/// What a recorder has done, as the next one, or the launcher, finds it.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct Ledger {
-    /// The files, in the order of time.
-    pub(super) files: Vec<PathBuf>,
-    /// By node: the number of the next record, how many never came, and how many came and could not be written.
-    pub(super) next: Vec<u64>,
-    pub(super) lost: Vec<u64>,
-    pub(super) unwritten: Vec<u64>,
-    /// What went wrong with the files last.
-    pub(super) problem: Option<String>,
-}
-
-impl Ledger {
-    /// The ledger of the recorder before, or an empty one.
-    pub(super) fn read(space: &Space, nodes: usize) -> Self {
-        let read = space.read(LEDGER).ok().and_then(|bytes| serde_json::from_slice::<Self>(&bytes).ok());
-        let fits = |ledger: &Self| {
-            [&ledger.next, &ledger.lost, &ledger.unwritten].iter().all(|counts| counts.len() == nodes)
-        };
-        read.filter(fits).unwrap_or_else(|| Self {
-            next: vec![0; nodes],
-            lost: vec![0; nodes],
-            unwritten: vec![0; nodes],
-            ..Self::default()
-        })
-    }
-
-    /// The ledger in this run's directory, for somebody who only looks.
-    pub(super) fn look_at(run: &Path) -> Option<Self> {
-        serde_json::from_slice(&std::fs::read(run.join(LEDGER)).ok()?).ok()
-    }
-
-    fn write(&self, space: &Space) {
-        let Ok(bytes) = serde_json::to_vec(self) else { return };
-        // Whoever dies meanwhile leaves the old one. A ledger that cannot be written costs the next recorder its counts,
-        // and this one nothing.
-        let _ = space.replace(LEDGER, &bytes);
-    }
-}
-
 /// Makes a file that may not grow any further an error of this process, to be counted, and not a signal to die of.
 pub(super) fn bear_full_files() {
     // SAFETY: ignoring a signal installs no code; the call takes integers only.
@@ -361,7 +302,7 @@ impl Scribe<'_> {
                 continue;
             };
             self.since[record.node] += 1;
-            match write(self.graph, self.space, file, &record) {
+            match unpack::write(self.graph, self.space, file, record.node, &record.words) {
                 Ok(()) => {}
                 // What no file can hold is the fault of the node that sent it.
                 Err(error @ RecordingError::Unwritable { .. }) => {
@@ -466,103 +407,4 @@ impl Scribe<'_> {
         }
         Ok(())
     }
-}
-
-fn write(
-    graph: &Graph,
-    space: &Space,
-    file: &mut RecordingWriter,
-    record: &Taken,
-) -> Result<(), RecordingError> {
-    let Taken { node, words, .. } = record;
-    let no_record = || file_refuses(graph, *node);
-    if words[0] == CHANGE {
-        let words = words.get(..CHANGE_WORDS).ok_or_else(no_record)?;
-        return file.change(&change(graph, space, *node, words));
-    }
-    if words[0] == LOSS {
-        let words = words.get(..LOSS_WORDS).ok_or_else(no_record)?;
-        return losses(graph, *node, words).try_for_each(|loss| file.loss(&loss));
-    }
-    let (step, payload, data) = step(graph, *node, words).ok_or_else(no_record)?;
-    if words[0] == REPLACED {
-        let node = graph.nodes()[*node].name.clone();
-        file.fault(&Fault { node, time: step.end, kind: FaultKind::Replaced { step: step.seq } })?;
-    }
-    file.message_with_data(*node, step.seq, step.end, &payload, data)?;
-    file.step_record(*node, &step)
-}
-
-/// What is said of a record that has not the length that it tells.
-fn file_refuses(graph: &Graph, node: usize) -> RecordingError {
-    RecordingError::Unwritable {
-        path: PathBuf::new(),
-        node: graph.nodes()[node].name.clone(),
-        what: "a record".into(),
-        reason: NO_RECORD.into(),
-    }
-}
-
-/// The losses that a record tells of, one for each message.
-fn losses<'a>(graph: &'a Graph, node: usize, words: &[u64]) -> impl Iterator<Item = Loss> + use<'a> {
-    let (input, first, count, time) = (words[2] as usize, words[3], words[4], words[5] as Nanos);
-    let reason = plan::reason_of(words[6]);
-    let receiver = &graph.nodes()[node];
-    let connection = receiver.inputs.get(input).map(|&connection| &graph.connections()[connection]);
-    (first..first.saturating_add(count.min(MOST_LOST))).filter_map(move |seq| {
-        connection.map(|connection| Loss {
-            from: graph.nodes()[connection.from].name.clone(),
-            to: receiver.name.clone(),
-            port: connection.port.clone(),
-            seq,
-            time,
-            reason,
-        })
-    })
-}
-
-/// What was set or reset.
-fn change(graph: &Graph, space: &Space, node: usize, words: &[u64]) -> Change {
-    let name = &graph.nodes()[node].name;
-    let kind = match words[3] {
-        RESET => ChangeKind::Reset,
-        parameter => {
-            // Seldom, and the node has written it down before its first step.
-            let file = space.read(&plan::parameters_file(name)).unwrap_or_default();
-            let parameters: Vec<Parameter> = serde_json::from_slice(&file).unwrap_or_default();
-            let parameter = usize::try_from(parameter).unwrap_or(usize::MAX);
-            let (old, new) = (f64::from_bits(words[4]), f64::from_bits(words[6]));
-            desk::describe(&parameters, &Setting { parameter, old, new })
-        }
-    };
-    let by = By::of_word(words[7]).text();
-    Change { node: name.clone(), step: words[2], time: words[5] as Nanos, by, kind }
-}
-
-/// A step, the payload that it sent, and the data of that.
-fn step<'a>(graph: &Graph, node: usize, words: &'a [u64]) -> Option<(StepRecord, Vec<f64>, &'a [u8])> {
-    let (head, mut rest) = words.split_at_checked(STEP_HEAD)?;
-    let mut inputs = Vec::new();
-    for &connection in &graph.nodes()[node].inputs {
-        let (input, after) = rest.split_at_checked(INPUT_HEAD)?;
-        let (stamps, after) = after.split_at_checked(CONSUMED.checked_mul(input[1] as usize)?)?;
-        let consumed = stamps.chunks_exact(CONSUMED).map(|stamp| Consumed {
-            seq: (stamp[0] != INITIAL).then_some(stamp[0]),
-            sent: stamp[1] as Nanos,
-            received: stamp[2] as Nanos,
-        });
-        let port = graph.connections()[connection].port.clone();
-        inputs.push(InputRecord { port, consumed: consumed.collect(), superseded: input[0] });
-        rest = after;
-    }
-    let kind = &graph.nodes()[node].kind;
-    let (leaves, rest) = rest.split_at_checked(kind.output().leaves.len())?;
-    let payload = leaves.iter().map(|word| f64::from_bits(*word)).collect();
-    let data = match rest.split_first() {
-        Some((length, words)) => bytes(words).get(..usize::try_from(*length).ok()?)?,
-        None => &[],
-    };
-    let [seq, due, start, end] = [head[2], head[3], head[4], head[5]];
-    let step = StepRecord { seq, due: due as Nanos, start: start as Nanos, end: end as Nanos, inputs };
-    Some((step, payload, data))
 }

@@ -8,7 +8,9 @@ use std::time::{Duration, Instant};
 
 use parallax_runtime::channel::{ChannelError, Endpoint, Space, Topic};
 use parallax_runtime::graph::{GraphSpec, OnDeadSender, Scheduling};
-use parallax_runtime::launch::{End, Event, EventKind, Exit, InputReport, RunOptions, RunReport, run};
+use parallax_runtime::launch::{
+    End, Event, EventKind, Exit, InputReport, LiveRun, Phase, RunOptions, RunReport, run,
+};
 use parallax_runtime::node::Layout;
 use parallax_runtime::recording::{FaultKind, LossReason, Recording};
 use parallax_runtime::schedule::verify;
@@ -292,14 +294,14 @@ pub(crate) fn node_process(launcher: u32, node: &str) -> Option<u32> {
 fn a_stopped_process_goes_on() {
     let stopper = std::thread::spawn(|| {
         let start = Instant::now();
-        let pid = loop {
-            assert!(start.elapsed() < Duration::from_secs(10), "the node does not come up");
-            if let Some(pid) = node_process(std::process::id(), "counter") {
-                break pid;
-            }
-            std::thread::sleep(Duration::from_millis(2));
-        };
+        let own = std::process::id();
+        // Not while it comes up: what is late then is no hang.
+        while !LiveRun::find(Some(&own.to_string())).is_ok_and(|run| run.phase() == Phase::Running) {
+            assert!(start.elapsed() < Duration::from_secs(20), "the run does not begin");
+            std::thread::sleep(Duration::from_millis(5));
+        }
         std::thread::sleep(Duration::from_millis(300));
+        let pid = node_process(own, "counter").expect("it runs");
         crate::failures::signal(pid, libc::SIGSTOP);
         std::thread::sleep(Duration::from_secs(1));
         crate::failures::signal(pid, libc::SIGCONT);
@@ -447,7 +449,8 @@ fn garbage_is_counted_and_harms_nobody() {
                 let _ = tell.send(());
             }
         })),
-        ..options(1.5, &path)
+        // Long enough for it to come back on a machine that has other things to do.
+        ..options(3.0, &path)
     };
     let report = run(&graph, &registry(), options).unwrap();
     rogue.join().unwrap();

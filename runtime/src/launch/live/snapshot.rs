@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::sample::{InputSample, NodeSample, ThreadSample};
 use super::{LiveRun, Sample};
 use crate::launch::about::{NodeAbout, Phase};
-use crate::launch::record::Ledger;
+use crate::launch::ledger::Ledger;
 use crate::launch::report::{End, Percentiles};
 use crate::launch::settings::Policy;
 use crate::recording::LossReason;

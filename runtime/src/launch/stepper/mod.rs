@@ -33,6 +33,8 @@ use crate::time::{Grid, Nanos};
 const PATIENCE: Nanos = 20_000_000;
 /// How often a message is polled for before anything else is looked at again: some microseconds.
 const POLLS: u32 = 16;
+/// So long after a step its receivers have taken what it gave, if they poll.
+const SETTLED: Nanos = 10_000;
 /// Between the order to take up the work of an earlier process and its first step.
 const LEAD: Nanos = 5_000_000;
 
@@ -78,6 +80,8 @@ pub(super) struct Stepper {
     grid: Grid,
     /// No step starts at or after this time.
     end: Nanos,
+    /// When the last step ended.
+    last_end: Nanos,
     settings: NodeSettings,
     vitals: Vitals,
 }
@@ -145,6 +149,7 @@ impl Stepper {
             scheduling: plan.scheduling,
             grid: plan.grid,
             end: settings.duration.unwrap_or(Nanos::MAX),
+            last_end: 0,
             settings: settings.nodes.get(index).cloned().unwrap_or_default(),
             vitals,
         })
@@ -261,7 +266,10 @@ impl Stepper {
                 }
                 Wait::Until(time) => {
                     let left = time - now - self.settings.spin;
-                    if left > 0 { self.pause(left) } else { std::hint::spin_loop() }
+                    match left {
+                        1.. => self.pause(left),
+                        _ => self.prepare(now),
+                    }
                 }
                 Wait::Message { .. } if now >= end => return Ok(()),
                 Wait::Message { .. } => {
@@ -271,7 +279,10 @@ impl Stepper {
                     match left {
                         _ if self.settings.spin == 0 => self.pause(PATIENCE.min(end.saturating_sub(now))),
                         1.. => self.pause(left),
-                        _ if left > -2 * self.settings.spin => polls = POLLS,
+                        _ if left > -2 * self.settings.spin => {
+                            self.prepare(now);
+                            polls = POLLS;
+                        }
                         _ => self.pause(PATIENCE),
                     }
                 }
@@ -283,6 +294,15 @@ impl Stepper {
             }
         }
         Ok(())
+    }
+
+    /// While a polling node has nothing else to do: readies the next message, once the receivers of the last one are done
+    /// with it.
+    fn prepare(&mut self, now: Nanos) {
+        if now.saturating_sub(self.last_end) > SETTLED {
+            self.output.prepare();
+        }
+        std::hint::spin_loop();
     }
 
     /// Sleeps until a message comes, at most this long.
@@ -324,10 +344,10 @@ impl Stepper {
         let times = [seq, due as u64, start as u64, end as u64];
         let delivered = match large {
             None => {
-                let delivered = self.output.send(MESSAGE_HEAD + values.len(), |word| match word {
-                    0 => seq,
-                    1 => end as u64,
-                    leaf => values[leaf - MESSAGE_HEAD].to_bits(),
+                let delivered = self.output.send_filled(MESSAGE_HEAD + values.len(), |words| {
+                    let (head, leaves) = words.split_at_mut(MESSAGE_HEAD);
+                    head.copy_from_slice(&[seq, end as u64]);
+                    leaves.iter_mut().zip(values).for_each(|(leaf, value)| *leaf = value.to_bits());
                 })?;
                 wakers.iter().for_each(|waker| _ = waker.wake());
                 if let Some(records) = records {
@@ -359,6 +379,7 @@ impl Stepper {
             self.vitals.add(Vital::Undelivered, undelivered as u64);
         }
         self.inbox.end(end)?;
+        self.last_end = end;
         self.vitals.set(Vital::Stepping, 0);
         self.vitals.add(Vital::Steps, 1);
         // A step that waited for a message, or for the one before, is not to blame for that.
