@@ -12,13 +12,14 @@ use parallax_gap::diagnosis::{Diagnosis, DiagnosisError, Options, diagnose_all};
 use parallax_gap::experiment::Experiment;
 use parallax_gap::nodes;
 use parallax_gap::options::{Pattern, Prior};
-use parallax_gap::report::{MadeFrom, Report, html, svg, text};
+use parallax_gap::report::{MadeFrom, Overlay, Report, html, svg, text};
 use parallax_gap::timing;
 use parallax_model::system::{Equations, System, Task};
 use parallax_runtime::import::{self, read_system_text};
 use parallax_runtime::launch::signals::Signals;
 use parallax_runtime::recording::Recording;
 use parallax_runtime::recording::log::{Log, Role};
+use serde_json::json;
 
 use super::failure::{Failure, Outcome, Sort};
 use super::output;
@@ -31,7 +32,7 @@ pub(crate) struct Arguments {
     /// What the simulator believes: a system.toml, in place of the one attached to the recording.
     #[arg(long, value_name = "FILE")]
     system: Option<PathBuf>,
-    /// The folder for report.json, report.html, report.svg and system.corrected.toml.
+    /// The folder for report.json, report.html, report.svg, predictions.json and system.corrected.toml.
     #[arg(long, value_name = "DIR", default_value = "out/diagnosis")]
     out: PathBuf,
     /// Leave out what comes before, in seconds from each recording's first stamp: a take-off that the system cannot know.
@@ -278,6 +279,7 @@ impl Loaded {
             Err(error) => eprintln!("warning: no corrected system is written: {error}"),
         }
         save("report.json", &serde_json::to_string_pretty(&report).map_err(Failure::runtime)?)?;
+        save(PREDICTIONS, &predictions(&overlays))?;
         save("report.html", &html::page(&report, &overlays))?;
         save("report.svg", &svg::figure(&report, &overlays))?;
         Ok(report)
@@ -289,6 +291,25 @@ pub(crate) const WHOLE: u64 = 1000;
 
 /// The nominal file with what was found.
 const CORRECTED: &str = "system.corrected.toml";
+
+/// What was measured and predicted on held-out time, for other programs.
+const PREDICTIONS: &str = "predictions.json";
+
+/// The readings of each output: a number that is none is null.
+fn predictions(overlays: &[Overlay]) -> String {
+    let output = |overlay: &Overlay| {
+        json!({
+            "output": overlay.output,
+            "unit": overlay.unit,
+            "noise": overlay.noise,
+            "time": overlay.stamp,
+            "measured": overlay.measured,
+            "before": overlay.before,
+            "after": overlay.after,
+        })
+    };
+    serde_json::Value::Array(overlays.iter().map(output).collect()).to_string()
+}
 
 fn read_task(path: &Path) -> Result<Task, Failure> {
     let text = std::fs::read_to_string(path)

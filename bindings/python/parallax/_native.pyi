@@ -29,8 +29,13 @@ class Episodes:
     def __len__(self) -> int: ...
     def __add__(self, other: Episodes) -> Episodes: ...
     @property
-    def durations(self) -> NDArray[np.float64]: ...
-    def episode(self, index: int) -> dict[str, Any]: ...
+    def durations(self) -> NDArray[np.float64]:
+        """How long each lasts, s, `[episode]`."""
+
+    def episode(self, index: int) -> dict[str, Any]:
+        """One episode: per node `due`, `start` and `end` (int64 ns, `[step]`), and per connection `seq` and `received`
+        (ns), `[step of the receiver, window]`, oldest first, −1 for an initial message. Raises `ParallaxError` for an
+        index that is too large."""
 
 class Compiled:
     """A graph along its schedules, as tables."""

@@ -234,9 +234,10 @@ class GraphEnvironment:
         the observation before the reset.
         """
         params = self.default_params if params is None else params
-        seen, after, reward, terminated, metrics = self.step_env(key, state, action, params)
+        of_step, of_reset = jax.random.split(key)
+        seen, after, reward, terminated, metrics = self.step_env(of_step, state, action, params)
         truncated = self.is_truncated(after, params)
-        first, fresh = self.reset_env(key, params)
+        first, fresh = self.reset_env(of_reset, params)
         done = terminated | truncated
         observation = jnp.where(done, first, seen)
         state = jax.tree.map(partial(lax.select, done), fresh, after)

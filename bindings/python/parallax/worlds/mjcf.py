@@ -6,19 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ..types import Scalar, Tree
+from .ports import Ports, package
 
-__all__ = ["Machine", "package"]
-
-
-def package(name: str, extra: str) -> Any:
-    """The package `name`; raises `ImportError` naming the extra that brings it."""
-    import importlib
-
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        raise ImportError(f"this world needs the package `{name}`: pip install './bindings[{extra}]'") from error
+__all__ = ["Machine"]
 
 
 class Machine:
@@ -32,13 +22,8 @@ class Machine:
         """The package."""
         self.model = self._read(source)
         """MuJoCo's model."""
-        self.ports: dict[str, list[tuple[str, int]]] = {}
+        self.ports = Ports(commands, lambda name: self._id("actuator", name))
         """The leaves that drive actuators, by port."""
-        for leaf, name in commands.items():
-            port, dot, rest = leaf.partition(".")
-            if not dot or not rest:
-                raise ValueError(f"commands: `{leaf}` must look like PORT.LEAF, such as motor.voltage")
-            self.ports.setdefault(port, []).append((rest, self._id("actuator", name)))
         self.views = {leaf: self._view(leaf, text) for leaf, text in outputs.items()}
         """Where each output is found: the field of the data, the first number and how many."""
         self.positions = {
@@ -55,21 +40,12 @@ class Machine:
         return data
 
     def shown(self, data: Any) -> dict[str, Any]:
-        """What is shown of the data, those of MuJoCo or of MJX."""
+        """What is shown of the data: those of MuJoCo or MJX, or any with fields of these names."""
         made = {}
         for leaf, (field, first, count) in self.views.items():
             values = getattr(data, field)[first : first + count]
             made[leaf] = values[0] if count == 1 else values
         return made
-
-    def command(self, message: Tree, leaf: str, port: str) -> Scalar:
-        """The leaf of a message that drives an actuator."""
-        value = message
-        for part in leaf.split("."):
-            if not isinstance(value, Mapping) or part not in value:
-                raise ValueError(f"a message at the port `{port}` has no leaf `{leaf}`: {message!r}")
-            value = value[part]
-        return value
 
     def _read(self, source: str) -> Any:
         if "<mujoco" in source:

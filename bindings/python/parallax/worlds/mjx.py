@@ -7,17 +7,16 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax import lax
 
-from ..member import Node
-from ..nodes import Step
 from ..types import Array, Tree
-from .mjcf import Machine, package
+from .mjcf import Machine
+from .ports import package
+from .ticked import TickedWorld
 
 __all__ = ["MjxWorld"]
 
 
-class MjxWorld(Node):
+class MjxWorld(TickedWorld):
     """A model of MuJoCo in JAX.
 
     A step integrates from one tick to the next by the newest commands, in the model's own time steps, of which a period
@@ -39,20 +38,13 @@ class MjxWorld(Node):
         when the model has no such part, or a period is no whole number of its time steps.
         """
         super().__init__(**settings)
-        self._machine = Machine(model, commands, outputs, start)
+        self._set_machine(Machine(model, commands, outputs, start))
         self._mjx = package("mujoco.mjx", "mjx")
         self._model = self._mjx.put_model(self._machine.model)
         self._parameters = tuple(parameters)
         unknown = [field for field in parameters if not hasattr(self._model, field)]
         if unknown:
             raise ValueError(f"parameters: a model has no fields {unknown}; it has body_mass, dof_damping, ...")
-        steps = 1.0 / (self.rate * float(self._machine.model.opt.timestep))
-        self._substeps = round(steps)
-        if self._substeps < 1 or abs(steps - self._substeps) > 1e-6:
-            raise ValueError(
-                f"node {self.name}: a period of {1.0 / self.rate} s is {steps:.4f} time steps of the model; choose a "
-                "rate or a timestep that makes it a whole number"
-            )
 
     def init_params(self, key: Array) -> Tree:
         """The fields of the model that may be moved."""
@@ -62,20 +54,11 @@ class MjxWorld(Node):
         """MJX's data at the start."""
         return jax.tree.map(jnp.asarray, self._mjx.put_data(self._machine.model, self._machine.data()))
 
-    def init_output(self, key: Array, params: Tree, state: Tree) -> Tree:
-        """What is shown at the start."""
-        return self._machine.shown(state)
+    def _drive(self, state: Tree) -> Array:
+        return state.ctrl
 
-    def step(self, params: Tree, state: Tree, step: Step) -> tuple[Tree, Tree]:
-        """From the tick before to this one."""
-        model, drive = self._model.replace(**params), state.ctrl
-        for port, leaves in self._machine.ports.items():
-            message = step[port].latest.message
-            for leaf, actuator in leaves:
-                drive = drive.at[actuator].set(self._machine.command(message, leaf, port))
+    def _moved(self, params: Tree) -> Any:
+        return self._model.replace(**params)
 
-        def advance(data: Any, _: None) -> tuple[Any, None]:
-            return self._mjx.step(model, data), None
-
-        data, _ = lax.scan(advance, state.replace(ctrl=drive), None, length=self._substeps)
-        return data, self._machine.shown(data)
+    def _advance(self, model: Any, state: Tree, drive: Array) -> Tree:
+        return self._mjx.step(model, state.replace(ctrl=drive))

@@ -1,9 +1,5 @@
 """MuJoCo as a world: the machine that a graph commands and senses is an MJCF model (Todorov, Erez & Tassa, "MuJoCo: A
-physics engine for model-based control", IROS 2012).
-
-It integrates to the stamps of the commands, not to its own wake-ups: a command that arrives late still acts from when
-it was sent, and the scheduler's jitter does not become a delay of the machine.
-"""
+physics engine for model-based control", IROS 2012)."""
 
 from __future__ import annotations
 
@@ -13,15 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from ..member import PlainNode
-from ..nodes import Step
 from ..types import Tree
 from .mjcf import Machine
+from .stamped import StampedWorld
 
 __all__ = ["MujocoWorld"]
 
 
-class MujocoWorld(PlainNode):
+class MujocoWorld(StampedWorld):
     """A model of MuJoCo, on the wall clock and under the simulated one.
 
     ```python
@@ -58,33 +53,24 @@ class MujocoWorld(PlainNode):
         self._step = float(self._model.opt.timestep)
         # As of the last command, and what is shown: predicted from there.
         self._kept, self._shown = self._machine.data(), self._mujoco.MjData(self._model)
-        self._last = dict.fromkeys(self._machine.ports, -1)
+        self._set_ports(self._machine.ports)
 
     def init_output(self) -> Tree:
         """What is shown at the start."""
         return self._message(self._kept)
 
-    def step(self, step: Step) -> Tree:
-        """What is shown now, given the commands that have come."""
-        news = []
-        for port in self._machine.ports:
-            if port not in step.inputs:
-                raise ValueError(
-                    f"node {self.name}: nothing is connected to the port `{port}`; it has {[*step.inputs]}"
-                )
-            for message in step[port]:
-                if message.seq > self._last[port]:
-                    self._last[port] = message.seq
-                    news.append((message.sent, port, message.message))
-        for sent, port, message in sorted(news, key=lambda command: command[0]):
-            self._advance(self._kept, sent)
-            for leaf, actuator in self._machine.ports[port]:
-                self._kept.ctrl[actuator] = float(self._machine.command(message, leaf, port))
+    def _advance(self, time: float) -> None:
+        self._integrate(self._kept, time)
+
+    def _drive(self, actuator: int, command: float) -> None:
+        self._kept.ctrl[actuator] = command
+
+    def _predicted(self, time: float) -> Tree:
         self._mujoco.mj_copyData(self._shown, self._model, self._kept)
-        self._advance(self._shown, step.start)
+        self._integrate(self._shown, time)
         return self._message(self._shown)
 
-    def _advance(self, data: Any, time: float) -> None:
+    def _integrate(self, data: Any, time: float) -> None:
         """Integrates in equal steps of at most the model's own."""
         span = time - data.time
         if span <= 0.0:
