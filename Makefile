@@ -17,11 +17,11 @@ format:
 	cargo fmt --all --check
 
 lint:
-	cargo clippy --workspace --all-targets --features link -- -D warnings
+	cargo clippy --workspace --all-targets --features link,foxglove -- -D warnings
 	cargo clippy -p parallax-runtime -- -D warnings
 
 unit: $(VENV)/ready
-	cargo test --workspace --features link
+	cargo test --workspace --features link,foxglove
 
 # With the features of `lint`, whose checks of our crates' dependencies are then used again.
 docs:
@@ -35,7 +35,7 @@ python: package
 	$(BIN)/ruff check tests bindings benches runtime
 	$(BIN)/ruff format --check tests bindings benches runtime
 	$(BIN)/mypy --config-file bindings/pyproject.toml bindings/python/parallax
-	cargo test --workspace --features link --no-run    # the command line that the tests run: after `make unit` it is there
+	cargo test --workspace --features link,foxglove --no-run    # the command line that the tests run: after `make unit` it is there
 	$(BIN)/python -m pytest bindings/tests
 
 # Its own profile: unoptimised it is built in a third of the time, and checks in three seconds.

@@ -13,6 +13,7 @@ mod import;
 mod info;
 mod join;
 mod latency;
+mod live;
 mod lockstep;
 mod new;
 mod output;
@@ -67,6 +68,9 @@ enum Command {
     /// Watch a running graph: rates, lateness, delays, losses, as they are now.
     #[command(after_help = EXIT_CODES)]
     Top(top::Arguments),
+    /// Show the messages of a running graph in Foxglove, live.
+    #[command(after_help = EXIT_CODES)]
+    Live(live::Arguments),
     /// Set parameters of a node of a running graph.
     #[command(after_help = tune::SET_HELP)]
     Set(tune::Set),
@@ -196,6 +200,7 @@ pub(crate) fn main(own: fn(Registry) -> Registry) -> ExitCode {
         Command::Get(arguments) => tune::get(&arguments),
         Command::Reset(arguments) => tune::reset(&arguments),
         Command::Top(arguments) => top::run(&arguments),
+        Command::Live(arguments) => live::run(&arguments),
         Command::Sim(arguments) => sim::run(&arguments),
         Command::Replay(arguments) => replay::run(&arguments),
         Command::Import(arguments) => import::run(&arguments),

@@ -54,6 +54,7 @@ mod stepper;
 mod supervise;
 mod unpack;
 mod vitals;
+mod watch;
 mod worker;
 mod worker_main;
 
@@ -81,6 +82,7 @@ pub use settings::{
     LaunchSpec, NodeLaunch, NodeSettings, OnDeadline, OnHang, OnNonFinite, Policy, Refused, Restart, RunAs,
     SettingsError, WaitStrategy,
 };
+pub use watch::Watch;
 pub use worker_main::{NODE_COMMAND, node_main};
 
 use crate::time::Nanos;

@@ -18,6 +18,7 @@ use super::link::Placement;
 use super::plan::{self, CHANGE, LOSS, REPLACED, STEP, Settings};
 use super::priority::give_way;
 use super::unpack::{self, NO_RECORD};
+use super::watch::watched;
 use crate::channel::{Endpoint, Space, Subscriber};
 use crate::graph::{Graph, NodePlan};
 use crate::recording::{Access, Clock, ClockReading, Description, Fault, RecordingError, RecordingWriter};
@@ -32,6 +33,8 @@ const VISIT: i32 = 10;
 const BATCH: usize = 1 << 20;
 /// How often what was written is made sure of.
 const CERTAIN: Duration = Duration::from_secs(1);
+/// How often it is while somebody looks on.
+const WATCHED: Duration = Duration::from_millis(100);
 /// How long a disk that takes nothing is left alone, at first and at most.
 const RETRY: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(30));
 /// A launcher that is gone leaves nodes that stop by themselves; they are recorded until they are silent for so long.
@@ -331,7 +334,9 @@ impl Scribe<'_> {
             if self.close(last) {
                 self.open_next();
             }
-        } else if self.certain.elapsed() >= CERTAIN {
+        } else if self.certain.elapsed() >= CERTAIN
+            || (self.certain.elapsed() >= WATCHED && watched(self.space.path()))
+        {
             match file.flush() {
                 Ok(()) => self.make_certain(),
                 Err(error) => self.fail(&error),

@@ -9,6 +9,7 @@ pub(crate) mod container;
 mod convert;
 mod description;
 mod error;
+pub mod follow;
 mod join;
 pub mod log;
 mod reader;

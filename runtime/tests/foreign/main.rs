@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use parallax_runtime::import::folder;
 use parallax_runtime::import::foreign::{
-    Choice, Converted, Dialect, ForeignError, Found, Plan, TimeUnit, UnitFrom, convert, read, series,
+    Choice, Converted, Dialect, ForeignError, Found, Group, Plan, TimeUnit, UnitFrom, convert, read, series,
     write_folder,
 };
 use parallax_runtime::recording::log::{Role, Signal};
@@ -241,7 +241,7 @@ fn what_cannot_be_read_says_where_and_what_to_do() {
     says(found("hello\nworld\n"), &["no line of it looks like a row of numbers"]);
     says(found("t,mode\n0,a\n1,b\n"), &["no series of numbers", "`mode` holds text"]);
     says(found(b"\x1f\x8b\x08\x00"), &["compressed by gzip", "gunzip"]);
-    says(found(b"SQLite format 3\x00"), &["ROS 2 bag in SQLite", "rosbags-convert", "--dst-storage mcap"]);
+    says(found(b"SQLite format 3\x00"), &["ROS 2 bag in SQLite", "whole"]);
     says(found(b"\x89HDF\r\n\x1a\n"), &["HDF5", "CSV or Parquet"]);
     says(found([0, 1, 2, 3]), &["not known here"]);
     says(found(b"PAR1 and no more"), &["log.csv", "arquet"]);
@@ -376,9 +376,81 @@ fn parquet_files_are_read() {
 fn a_bag_without_messages_in_mcap_says_what_to_do() {
     let place: TempDir = tempfile::tempdir().unwrap();
     let open = || read(place.path(), &Dialect::default(), &mut |_| {}).unwrap_err().to_string();
-    assert!(open().contains("holds no MCAP file"));
+    assert!(open().contains("holds no MCAP or SQLite file"));
     fs::write(place.path().join("bag_0.db3"), b"SQLite format 3\0").unwrap();
-    assert!(open().contains("rosbags-convert"));
+    assert!(open().contains("bag_0.db3 cannot be read as a ROS 2 bag in SQLite"));
+}
+
+#[test]
+fn a_bag_in_sqlite_is_read_as_one_in_mcap() {
+    // Both were written by the same program, from the same messages.
+    let (database, mcap) = (open("arm.db3"), open("arm"));
+    assert_eq!(database.form, "ROS 2 bag (SQLite)");
+    assert!(database.groups.len() > 5);
+    for (ours, theirs) in database.groups.iter().zip(&mcap.groups) {
+        assert!(same(ours, theirs), "{}", ours.name);
+    }
+    assert_eq!((database.groups.len(), &database.notes), (mcap.groups.len(), &mcap.notes));
+}
+
+/// Where a message lacks a number there is a NaN, which equals nothing.
+fn same(one: &Group, other: &Group) -> bool {
+    format!("{one:?}") == format!("{other:?}")
+}
+
+/// The bag `arm.db3` after some SQL, as older and damaged ones are.
+fn changed(place: &TempDir, sql: &str) -> PathBuf {
+    let path = place.path().join("what? 100 %#.db3");
+    fs::copy(data("arm.db3"), &path).unwrap();
+    rusqlite::Connection::open(&path).unwrap().execute_batch(sql).unwrap();
+    path
+}
+
+#[test]
+fn bags_without_definitions_are_read_where_their_types_come_with_ros() {
+    let place = tempfile::tempdir().unwrap();
+    // As ROS 2 Humble writes them, with a journal that is written ahead; and one type that nobody knows.
+    let path = changed(
+        &place,
+        "DROP TABLE message_definitions; DROP TABLE schema; PRAGMA journal_mode = WAL; \
+         UPDATE topics SET type = 'my_msgs/msg/Gains' WHERE name = '/gains';",
+    );
+    let found = read(&path, &Dialect::default(), &mut |_| {}).unwrap();
+    let mcap = open("arm");
+    let others: Vec<&Group> = mcap.groups.iter().filter(|group| group.name != "/gains").collect();
+    assert_eq!((found.groups.len(), others.len() >= 5), (others.len(), true));
+    for (ours, theirs) in found.groups.iter().zip(others) {
+        assert!(same(ours, theirs), "{}", ours.name);
+    }
+    assert!(found.groups.iter().all(|group| group.name != "/gains"));
+    let note = found.notes.iter().find(|note| note.contains("/gains")).unwrap();
+    assert!(note.contains("no definition of this type") && note.contains("rosbags-convert"), "{note}");
+    // Nothing is left beside it.
+    assert_eq!(place.path().read_dir().unwrap().count(), 1);
+}
+
+#[test]
+fn a_bag_in_sqlite_that_is_cut_or_is_none_says_so() {
+    let place = tempfile::tempdir().unwrap();
+    let whole = fs::read(data("arm.db3")).unwrap();
+    let path = place.path().join("cut.db3");
+    for share in 1..8 {
+        fs::write(&path, &whole[..whole.len() * share / 8]).unwrap();
+        match read(&path, &Dialect::default(), &mut |_| {}) {
+            Ok(found) => {
+                assert!(
+                    found.notes.iter().any(|note| note.contains("is damaged after")),
+                    "{:?}",
+                    found.notes
+                );
+            }
+            Err(error) => assert!(error.to_string().contains("cut.db3"), "{error}"),
+        }
+    }
+    let path = changed(&place, "DROP TABLE messages;");
+    let error = read(&path, &Dialect::default(), &mut |_| {}).unwrap_err();
+    let ForeignError::Database { source, .. } = &error else { panic!("{error}") };
+    assert!(source.to_string().contains("messages"), "{source}");
 }
 
 proptest! {

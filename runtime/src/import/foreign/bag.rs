@@ -1,4 +1,4 @@
-//! ROS 2 bags, and other MCAP files with numbers in their messages.
+//! ROS 2 bags, and other MCAP files with numbers in their messages. Those in SQLite: [`super::database`].
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
@@ -15,55 +15,62 @@ use super::{ForeignError, Found, Group, Series, suggest};
 use crate::recording::container::{Cut, Raw, Walk, parse, unpack};
 use crate::recording::ros2msg::distinct;
 
-/// Reads a bag's folder: all MCAP files in it, in the order of their names.
+/// Reads a bag's folder: all MCAP files in it, or all SQLite files, in the order of their names.
 pub(super) fn folder(path: &Path, progress: &mut dyn FnMut(u64)) -> Result<Found, ForeignError> {
     let io = |source| ForeignError::Io { path: path.into(), source };
-    let mut files: Vec<PathBuf> = Vec::new();
-    let mut database = None;
+    let (mut files, mut databases): (Vec<PathBuf>, Vec<PathBuf>) = (Vec::new(), Vec::new());
     for entry in path.read_dir().map_err(io)? {
         let file = entry.map_err(io)?.path();
         match file.extension().and_then(|extension| extension.to_str()) {
             Some("mcap") => files.push(file),
-            Some("db3") => database = Some(file),
+            Some("db3") => databases.push(file),
             _ => {}
         }
     }
+    let mut bag = Bag::default();
+    let in_databases = files.is_empty();
+    if in_databases {
+        std::mem::swap(&mut files, &mut databases);
+    }
     // `bag_2.mcap` comes before `bag_10.mcap`.
     files.sort_by_key(|file| (file.as_os_str().len(), file.clone()));
-    if files.is_empty() {
-        return match database {
-            // Its bytes say what it is, and the error what to do.
-            Some(database) => super::kind(&database).and(Err(ForeignError::NotABag { path: path.into() })),
-            None => Err(ForeignError::NotABag { path: path.into() }),
-        };
+    databases.sort();
+    for database in databases {
+        bag.notes.push(format!("{} is not read: the MCAP files beside it are", database.display()));
     }
-    let mut bag = Bag::default();
+    if files.is_empty() {
+        return Err(ForeignError::NotABag { path: path.into() });
+    }
     let mut before = 0;
     for file in &files {
-        before += bag.read(file, &mut |bytes| progress(before + bytes))?;
+        before += bag.read(file, in_databases, &mut |bytes| progress(before + bytes))?;
     }
     Ok(bag.found(path, files.len()))
 }
 
-/// Reads one MCAP file.
-pub(super) fn file(path: &Path, progress: &mut dyn FnMut(u64)) -> Result<Found, ForeignError> {
+/// Reads one MCAP file, or one SQLite file.
+pub(super) fn file(
+    path: &Path,
+    in_database: bool,
+    progress: &mut dyn FnMut(u64),
+) -> Result<Found, ForeignError> {
     let mut bag = Bag::default();
-    bag.read(path, progress)?;
+    bag.read(path, in_database, progress)?;
     Ok(bag.found(path, 1))
 }
 
 /// What is known of the messages so far.
 #[derive(Default)]
-struct Bag {
+pub(super) struct Bag {
     topics: BTreeMap<String, Topic>,
     /// Of the file that is read: schemas, and the topic of each channel with the way to decode it.
     schemas: BTreeMap<u16, (String, String, Vec<u8>)>,
     channels: BTreeMap<u16, (String, Option<Decoder>)>,
-    notes: Vec<String>,
-    form: String,
+    pub(super) notes: Vec<String>,
+    pub(super) form: String,
 }
 
-enum Decoder {
+pub(super) enum Decoder {
     Ros(Definition),
     Json,
 }
@@ -84,7 +91,16 @@ struct Topic {
 
 impl Bag {
     /// Reads a file of the bag; gives its size.
-    fn read(&mut self, path: &Path, progress: &mut dyn FnMut(u64)) -> Result<u64, ForeignError> {
+    fn read(
+        &mut self,
+        path: &Path,
+        in_database: bool,
+        progress: &mut dyn FnMut(u64),
+    ) -> Result<u64, ForeignError> {
+        if in_database { super::database::read(self, path, progress) } else { self.mcap(path, progress) }
+    }
+
+    fn mcap(&mut self, path: &Path, progress: &mut dyn FnMut(u64)) -> Result<u64, ForeignError> {
         let io = |source| ForeignError::Io { path: path.into(), source };
         let damaged =
             |at: u64, reason: &str| ForeignError::Damaged { path: path.into(), at, reason: reason.into() };
@@ -143,9 +159,7 @@ impl Bag {
             }
             Record::Channel(channel) => {
                 let (kind, decoder) = self.decoder(channel.schema_id, &channel.message_encoding);
-                let topic = self.topics.entry(channel.topic.clone()).or_default();
-                topic.kind = kind;
-                let decoder = decoder.map_err(|why| topic.unread = Some(why)).ok();
+                let decoder = self.declare(&channel.topic, kind, decoder);
                 self.channels.insert(channel.id, (channel.topic, decoder));
             }
             Record::Message { header, data } => self.message(&header, &data),
@@ -186,23 +200,28 @@ impl Bag {
         (name.clone(), decoder)
     }
 
+    /// A topic of messages of this type; gives how they are decoded, or keeps why not.
+    pub(super) fn declare(
+        &mut self,
+        topic: &str,
+        kind: String,
+        decoder: Result<Decoder, String>,
+    ) -> Option<Decoder> {
+        let topic = self.topics.entry(topic.to_owned()).or_default();
+        topic.kind = kind;
+        decoder.map_err(|why| topic.unread = Some(why)).ok()
+    }
+
     fn message(&mut self, header: &MessageHeader, data: &[u8]) {
         let Some((topic, Some(decoder))) = self.channels.get(&header.channel_id) else { return };
         let Some(topic) = self.topics.get_mut(topic) else { return };
-        let decoded = match decoder {
-            Decoder::Ros(definition) => definition.decode(data).map_err(|error| error.to_string()),
-            Decoder::Json => {
-                serde_json::from_slice(data).map(|json| of_json(&json)).map_err(|e| e.to_string())
-            }
-        };
-        match decoded {
-            Ok(message) => topic.push(header, &message),
-            Err(why) => {
-                topic.bad += 1;
-                if topic.why.is_empty() {
-                    topic.why = why;
-                }
-            }
+        topic.take(decoder, header.log_time, header.publish_time, data);
+    }
+
+    /// A message at a topic that was declared.
+    pub(super) fn put(&mut self, topic: &str, decoder: &Decoder, logged: u64, data: &[u8]) {
+        if let Some(topic) = self.topics.get_mut(topic) {
+            topic.take(decoder, logged, logged, data);
         }
     }
 
@@ -229,18 +248,43 @@ impl Bag {
             }
             groups.push(topic.group(&name, &mut taken));
         }
-        let ros = if self.form == "ros2" { "ROS 2 bag (MCAP)" } else { "MCAP" };
+        let ros = match self.form.as_str() {
+            "ros2" => "ROS 2 bag (MCAP)",
+            super::database::FORM => super::database::FORM,
+            _ => "MCAP",
+        };
         let form = if files > 1 { format!("{ros} of {files} files") } else { ros.into() };
         Found { path: path.into(), form, groups, notes: self.notes }
     }
 }
 
 impl Topic {
-    fn push(&mut self, header: &MessageHeader, message: &Value) {
+    fn take(&mut self, decoder: &Decoder, logged: u64, published: u64, data: &[u8]) {
+        let decoded = match decoder {
+            Decoder::Ros(definition) => definition.decode(data).map_err(|error| error.to_string()),
+            Decoder::Json => {
+                serde_json::from_slice(data).map(|json| of_json(&json)).map_err(|e| e.to_string())
+            }
+        };
+        match decoded {
+            Ok(message) => self.push(logged, published, &message),
+            Err(why) => self.fail(why),
+        }
+    }
+
+    /// A message that cannot be decoded.
+    fn fail(&mut self, why: String) {
+        self.bad += 1;
+        if self.why.is_empty() {
+            self.why = why;
+        }
+    }
+
+    fn push(&mut self, logged: u64, published: u64, message: &Value) {
         self.numbers.push(message);
         let time = |time: u64| i64::try_from(time).ok();
-        self.logged.push(time(header.log_time));
-        self.published.push(time(header.publish_time));
+        self.logged.push(time(logged));
+        self.published.push(time(published));
         self.stamped.push(stamp(message));
     }
 

@@ -54,9 +54,24 @@ pub enum ForeignError {
         /// The path.
         path: PathBuf,
     },
+    /// A bag in SQLite, and a program without that feature.
+    #[error("{} is a ROS 2 bag in SQLite, and this program was built without the feature `rosbag2`", path.display())]
+    NoSqlite {
+        /// The path.
+        path: PathBuf,
+    },
+    /// SQLite refuses.
+    #[cfg(feature = "rosbag2")]
+    #[error("{} cannot be read as a ROS 2 bag in SQLite; is it a bag, and whole?", path.display())]
+    Database {
+        /// The path.
+        path: PathBuf,
+        /// What SQLite says.
+        source: rusqlite::Error,
+    },
     /// A folder that is no bag.
     #[error(
-        "{} holds no MCAP file; give the folder of a ROS 2 bag, a folder with recording.toml, or the files themselves",
+        "{} holds no MCAP or SQLite file (.mcap, .db3); give the folder of a ROS 2 bag, a folder with recording.toml, or the files themselves",
         path.display()
     )]
     NotABag {

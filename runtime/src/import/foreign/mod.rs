@@ -20,6 +20,8 @@ mod clock;
 mod columns;
 mod convert;
 mod csv;
+mod database;
+mod definitions;
 mod dialect;
 mod error;
 mod header;
@@ -113,9 +115,10 @@ enum Kind {
     Csv,
     Parquet,
     Mcap,
+    Sqlite,
 }
 
-/// Reads the log at `path`: a CSV or Parquet file, an MCAP file, or the folder of a ROS 2 bag. `dialect` says what is known
+/// Reads the log at `path`: a CSV or Parquet file, an MCAP or SQLite file of a ROS 2 bag, or its folder. `dialect` says what is known
 /// of a CSV file; what it leaves open is found out. `progress` hears how many bytes have been read.
 ///
 /// # Errors
@@ -130,7 +133,8 @@ pub fn read(path: &Path, dialect: &Dialect, progress: &mut dyn FnMut(u64)) -> Re
     } else {
         match kind(path)? {
             Kind::Csv => csv::read(path, dialect, progress)?,
-            Kind::Mcap => bag::file(path, progress)?,
+            Kind::Mcap => bag::file(path, false, progress)?,
+            Kind::Sqlite => bag::file(path, true, progress)?,
             #[cfg(feature = "parquet")]
             Kind::Parquet => parquet::read(path, progress)?,
             #[cfg(not(feature = "parquet"))]
@@ -171,11 +175,7 @@ fn kind(path: &Path) -> Result<Kind, ForeignError> {
     } else if head.starts_with(b"PAR1") {
         return Ok(Kind::Parquet);
     } else if head.starts_with(b"SQLite format 3") {
-        return Err(what(
-            "a ROS 2 bag in SQLite, which need not hold the definitions of its messages",
-            "convert it to MCAP, definitions included: `pip install rosbags`, then `rosbags-convert --src BAG --dst \
-             BAG_mcap --dst-storage mcap`, BAG being the folder of the file",
-        ));
+        return Ok(Kind::Sqlite);
     } else if head.starts_with(b"#ROSBAG V2") {
         return Err(what(
             "a ROS 1 bag",

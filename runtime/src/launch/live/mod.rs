@@ -31,8 +31,10 @@ pub use sample::Sample;
 pub use snapshot::{ConnectionView, NodeState, NodeView, RecorderView, Snapshot};
 
 use super::about::{About, Phase, RunPage};
+use super::record::Ledger;
 use super::report::End;
 use super::vitals::VitalsView;
+use super::watch::Watch;
 use crate::channel::{ChannelError, live_directories};
 use crate::time::Nanos;
 
@@ -198,6 +200,21 @@ impl LiveRun {
     /// Why it ended, if it has said so.
     pub fn end(&self) -> Option<End> {
         self.page.end(&self.about)
+    }
+
+    /// The files that it has been recorded in so far, in the order of time; `None` where it is not recorded on this machine.
+    pub fn recording(&self) -> Option<Vec<PathBuf>> {
+        self.about.recording.as_ref()?;
+        Some(Ledger::look_at(&self.path).map_or_else(Vec::new, |ledger| ledger.files))
+    }
+
+    /// Lets the recorder hand on what it has ten times a second, for as long as the watch is kept up.
+    ///
+    /// # Errors
+    ///
+    /// What the system says; the run may be over.
+    pub fn watch(&self) -> std::io::Result<Watch> {
+        Watch::begin(&self.path)
     }
 
     /// Reads all counts.
