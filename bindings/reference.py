@@ -20,7 +20,6 @@ PAGE = HERE.parent / "docs" / "python-api.md"
 
 MODULES = {
     "parallax": "",
-    "parallax.identify": "",
     "parallax.worlds": "mujoco`, `mjx`, `brax`, `drake",
     "parallax.train": "train",
     "parallax.train.gym": "gym",
