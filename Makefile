@@ -25,7 +25,7 @@ unit: $(VENV)/ready
 
 # With the features of `lint`, whose checks of our crates' dependencies are then used again.
 docs:
-	RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --features link,parallax-runtime/conformance
+	RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --features link,foxglove,parallax-runtime/conformance
 
 # The package as `pip` builds it, but in the tests' profile and with their features: what cargo has built for them is not built again.
 package: $(VENV)/ready
@@ -50,7 +50,7 @@ deny: $(DENY)
 
 # docs/cli.md, from what `--help` prints.
 reference:
-	cargo run --quiet --features link -- reference > out.cli.md && mv out.cli.md docs/cli.md
+	cargo run --quiet --features link,foxglove -- reference > out.cli.md && mv out.cli.md docs/cli.md
 
 clean:
 	cargo clean
