@@ -153,7 +153,7 @@ def test_a_diagnosis_is_shown_with_its_residuals_and_probabilities(diagnosis, tm
     text = others["/answer"][0]
     assert report["summary"] in text
     assert "`coulomb@joint:axis`" in text
-    bars = np.array(others["/probabilities"][0], float)
+    bars = np.array(others["/probabilities"][0]["buffer"], float)
     assert bars[0] == pytest.approx(report["which"][0]["probability"])
     assert bars.sum() == pytest.approx(1.0, abs=1e-3)
 
