@@ -31,7 +31,7 @@ pub use sample::Sample;
 pub use snapshot::{ConnectionView, NodeState, NodeView, RecorderView, Snapshot};
 
 use super::about::{About, Phase, RunPage};
-use super::record::Ledger;
+use super::ledger::Ledger;
 use super::report::End;
 use super::vitals::VitalsView;
 use super::watch::Watch;
