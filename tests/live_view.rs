@@ -170,7 +170,7 @@ fn foxglove_sees_what_is_recorded_while_it_happens() {
     }
     // The numbers are those of the recording: the leaves come last. The last file may be younger than the last message.
     let parts = files.iter().map(|file| Recording::read(file).unwrap());
-    let last = parts.filter_map(|part| part.node("motor")?.messages.last().cloned()).last().unwrap();
+    let last = parts.filter_map(|part| part.node("motor")?.messages.last().cloned()).next_back().unwrap();
     let (.., bytes) = seen.iter().find(|(id, time, _)| *id == 0 && *time as i64 == last.sent).unwrap();
     let voltage = f64::from_le_bytes(bytes[bytes.len() - 8..].try_into().unwrap());
     assert_eq!(Some(&voltage), last.payload.last());
