@@ -219,6 +219,7 @@ impl Bag {
     }
 
     /// A message at a topic that was declared.
+    #[cfg(feature = "rosbag2")]
     pub(super) fn put(&mut self, topic: &str, decoder: &Decoder, logged: u64, data: &[u8]) {
         if let Some(topic) = self.topics.get_mut(topic) {
             topic.take(decoder, logged, logged, data);

@@ -21,6 +21,7 @@ mod columns;
 mod convert;
 mod csv;
 mod database;
+#[cfg(feature = "rosbag2")]
 mod definitions;
 mod dialect;
 mod error;
