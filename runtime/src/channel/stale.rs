@@ -11,7 +11,7 @@ use super::space::{SHARED_MEMORY, base, only_owner, prefix};
 ///
 /// # Errors
 ///
-/// As [`Space::create`].
+/// As [`Space::create`](super::Space::create).
 pub fn clean_stale() -> Result<usize, ChannelError> {
     let shared_memory = Path::new(SHARED_MEMORY);
     let base = base(shared_memory)?;
@@ -24,7 +24,7 @@ pub fn clean_stale() -> Result<usize, ChannelError> {
 ///
 /// # Errors
 ///
-/// As [`Space::create`].
+/// As [`Space::create`](super::Space::create).
 pub(crate) fn live_directories() -> Result<Vec<PathBuf>, ChannelError> {
     let base = base(Path::new(SHARED_MEMORY))?;
     let _guard = Guard::take(&base)?;
