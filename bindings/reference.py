@@ -20,6 +20,7 @@ PAGE = HERE.parent / "docs" / "python-api.md"
 
 MODULES = {
     "parallax": "",
+    "parallax.symbolic": "",
     "parallax.worlds": "mujoco`, `mjx`, `brax`, `drake",
     "parallax.train": "train",
     "parallax.train.gym": "gym",

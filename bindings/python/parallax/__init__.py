@@ -25,8 +25,9 @@ from .program import Program
 from .recording import NodeTrack, PortTrack, Recording, Trajectory, load, trajectories
 from .running import RunState
 from .state import GraphState, Observation
-from .system import System
+from .system import Parameter, System
 from .tables import Tables
+from .written import Joint, Reading, write_system
 from .xla import run_small_loops_whole
 
 __all__ = [
@@ -45,6 +46,7 @@ __all__ = [
     "Graph",
     "GraphState",
     "Identified",
+    "Joint",
     "Message",
     "Mixture",
     "Model",
@@ -56,10 +58,12 @@ __all__ = [
     "Normal",
     "Observation",
     "ParallaxError",
+    "Parameter",
     "PlainNode",
     "Port",
     "PortTrack",
     "Program",
+    "Reading",
     "Recording",
     "RunState",
     "RustNode",
@@ -82,6 +86,7 @@ __all__ = [
     "set_parameters",
     "trajectories",
     "use_compilation_cache",
+    "write_system",
 ]
 
 run_small_loops_whole()

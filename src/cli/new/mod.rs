@@ -6,9 +6,11 @@ mod node;
 mod template;
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use anyhow::{Context, anyhow};
 use clap::{Args, Subcommand};
+use indicatif::ProgressBar;
 use parallax_model::system::System;
 use parallax_runtime::import;
 use parallax_runtime::recording::Recording;
@@ -16,7 +18,7 @@ use parallax_runtime::recording::log::Log;
 
 use super::args::make_parent;
 use super::failure::{Failure, Outcome, Sort};
-use super::output;
+use super::{output, python};
 use template::Template;
 
 #[derive(Args)]
@@ -43,6 +45,23 @@ struct SystemArguments {
     /// A log (a folder with recording.toml, or a recording): its signals are bound, with their units.
     #[arg(long, value_name = "LOG")]
     from: Option<PathBuf>,
+    /// A model of MuJoCo (MJCF): its equations are written down, by way of MJX. Needs the Python package with its extra `mjx`.
+    #[arg(long, value_name = "MODEL", conflicts_with_all = ["template", "from"])]
+    mjcf: Option<PathBuf>,
+    /// With --mjcf: the recorded signal of an actuator or an output, where it is called otherwise.
+    #[arg(long, value_name = "NAME=SIGNAL", requires = "mjcf")]
+    signal: Vec<String>,
+    /// With --mjcf: what is read, as position:JOINT, velocity:JOINT or sensor:SENSOR; without it the positions of all joints.
+    #[arg(long, value_name = "NAME=WHAT", requires = "mjcf")]
+    output: Vec<String>,
+    /// With --mjcf: how far masses, dampings, stiffnesses, armatures and gears may be refitted without that being a cause, as a
+    /// share of each, such as 0.2.
+    #[arg(long, value_name = "SHARE", requires = "mjcf")]
+    calibrate: Option<f64>,
+    /// With --mjcf: the Python interpreter with the package `parallax`; without it that of the active virtual environment, or
+    /// python3.
+    #[arg(long, value_name = "FILE", requires = "mjcf")]
+    interpreter: Option<PathBuf>,
     /// The file to write.
     #[arg(long, value_name = "FILE", default_value = "system.toml")]
     out: PathBuf,
@@ -61,6 +80,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
 
 fn system(arguments: &SystemArguments) -> Result<Outcome, Failure> {
     let out = &arguments.out;
+    if let Some(model) = &arguments.mjcf {
+        return written_down(arguments, model);
+    }
     let log = arguments.from.as_deref().map(read).transpose()?;
     let template = match (arguments.template, &log) {
         (Some(template), _) => template,
@@ -89,6 +111,45 @@ fn system(arguments: &SystemArguments) -> Result<Outcome, Failure> {
     Ok(Outcome::Done)
 }
 
+/// A system from a model of MuJoCo, which the Python package unrolls.
+fn written_down(arguments: &SystemArguments, model: &Path) -> Result<Outcome, Failure> {
+    let out = &arguments.out;
+    absent(out)?;
+    let interpreter = python::interpreter(arguments.interpreter.as_ref());
+    let advice = "give one by --interpreter, or activate its environment";
+    python::check(&interpreter, "MJX writes the model's equations down in Python", advice)
+        .map_err(Failure::input)?;
+    make_parent(out)?;
+    let mut command = Command::new(&interpreter);
+    command.args(["-m", "parallax.worlds"]).arg(model).arg("--out").arg(out);
+    command.args(arguments.name.iter().flat_map(|name| ["--name", name]));
+    command.args(arguments.signal.iter().flat_map(|signal| ["--signal", signal]));
+    command.args(arguments.output.iter().flat_map(|read| ["--output", read]));
+    command.args(arguments.calibrate.iter().flat_map(|share| ["--calibrate".into(), share.to_string()]));
+    let bar = ProgressBar::new_spinner().with_message("MJX is traced");
+    bar.enable_steady_tick(std::time::Duration::from_millis(200));
+    let done = command.output().with_context(|| format!("{} cannot be started", interpreter.display()));
+    bar.finish_and_clear();
+    let done = done.map_err(Failure::runtime)?;
+    if !done.status.success() {
+        let said = String::from_utf8_lossy(&done.stderr);
+        let said =
+            said.trim().lines().last().unwrap_or("it said nothing").trim_start_matches("error: ").to_owned();
+        return Err(Failure::input(anyhow!("{}: {said}", model.display())));
+    }
+    let system = import::read_system(out).runtime()?;
+    system.equations().runtime()?;
+    output::line(format!("{} written, of the equations of {}", out.display(), model.display()));
+    for line in String::from_utf8_lossy(&done.stdout).lines().filter(|line| line.starts_with("left out: ")) {
+        output::line(line);
+    }
+    let out = out.display();
+    output::line(format!(
+        "\nNext: say which parameters may be refitted, then\n  parallax info {out}\n  parallax diagnose --system {out} LOG"
+    ));
+    Ok(Outcome::Done)
+}
+
 fn read(path: &Path) -> Result<Log, Failure> {
     if import::is_folder(path) {
         import::folder(path).input()
@@ -99,17 +160,25 @@ fn read(path: &Path) -> Result<Log, Failure> {
 
 /// Writes all files, with their folders; none where one of them exists.
 fn write_new(files: &[(PathBuf, String)]) -> Result<(), Failure> {
-    if let Some((path, _)) = files.iter().find(|(path, _)| path.exists()) {
-        return Err(Failure::input(anyhow!(
-            "{} exists already, and is not overwritten; choose another place with --out",
-            path.display()
-        )));
+    for (path, _) in files {
+        absent(path)?;
     }
     for (path, text) in files {
         make_parent(path)?;
         std::fs::write(path, text)
             .with_context(|| format!("{} cannot be written", path.display()))
             .map_err(Failure::input)?;
+    }
+    Ok(())
+}
+
+fn absent(path: &Path) -> Result<(), Failure> {
+    if path.exists() {
+        let what = format!(
+            "{} exists already, and is not overwritten; choose another place with --out",
+            path.display()
+        );
+        return Err(Failure::input(anyhow!(what)));
     }
     Ok(())
 }

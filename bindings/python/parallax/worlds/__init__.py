@@ -3,7 +3,8 @@ clock; those in JAX compile with their graph. Each needs a package of its own, a
 
 from .brax import BraxWorld
 from .drake import DrakeWorld
+from .equations import write_mjcf_system
 from .mjx import MjxWorld
 from .mujoco import MujocoWorld
 
-__all__ = ["BraxWorld", "DrakeWorld", "MjxWorld", "MujocoWorld"]
+__all__ = ["BraxWorld", "DrakeWorld", "MjxWorld", "MujocoWorld", "write_mjcf_system"]
