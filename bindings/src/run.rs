@@ -236,9 +236,12 @@ impl NativeRun {
     /// is shown them. `None` when the run has ended.
     fn due<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
         loop {
-            match py.detach(|| self.gate.due()) {
+            let due = py.detach(|| self.gate.due());
+            // Before anything is made for Python: the garbage collector, which that may start, drops what is raised in its callbacks.
+            py.check_signals()?;
+            match due {
                 Err(_) => return Ok(None),
-                Ok(None) => py.check_signals()?,
+                Ok(None) => {}
                 Ok(Some(view)) => {
                     let inputs =
                         view.inputs.iter().map(|input| window(py, input)).collect::<PyResult<Vec<_>>>()?;
@@ -255,9 +258,11 @@ impl NativeRun {
     fn make(&self, py: Python<'_>, output: Option<Vec<f64>>) -> PyResult<Option<Vec<f64>>> {
         self.gate.make(output);
         loop {
-            match py.detach(|| self.gate.made()) {
+            let made = py.detach(|| self.gate.made());
+            py.check_signals()?;
+            match made {
                 Err(_) => return Ok(None),
-                Ok(None) => py.check_signals()?,
+                Ok(None) => {}
                 Ok(Some(made)) => return made.map(Some).map_err(raise),
             }
         }

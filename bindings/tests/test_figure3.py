@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
-import textwrap
+import time
 
 import jax
 import jax.numpy as jnp
@@ -199,45 +200,59 @@ def test_a_supervisor_that_fails_is_told_with_its_traceback():
     assert len(graph.get_record()["failing"].seq) == 2
 
 
-def test_an_interrupted_run_leaves_a_recording(tmp_path):
-    script = tmp_path / "script.py"
-    script.write_text(
-        textwrap.dedent("""
-        import sys
-        import parallax as px
-        import robot
+INTERRUPTED = """
+import gc, signal, sys
+import parallax as px
+import robot
 
-        if __name__ == "__main__":
-            supervisor, nodes = robot.loop()
-            graph = px.Graph(supervisor, nodes)
-            state = graph.init(recording="run.mcap")
-            for step in range(10):
-                state = graph.run(state)
-            print("begun", flush=True)
-            while True:
-                state = graph.run(state)
-        """)
-    )
+if __name__ == "__main__":
+    supervisor, nodes = robot.loop()
+    graph = px.Graph(supervisor, nodes)
+    state = graph.init(recording="run.mcap")
+    for step in range(0 if sys.argv[1] == "starting" else 10):
+        state = graph.run(state)
+    print("begun", flush=True)
+    if sys.argv[1] == "collecting":
+        gc.callbacks.append(lambda phase, info: signal.raise_signal(signal.SIGINT))
+        gc.collect()
+        gc.callbacks.pop()
+    if sys.argv[1] == "always collecting":
+        # Whatever is made starts a collection, and each calls JAX.
+        gc.set_threshold(1)
+    while True:
+        state = graph.run(state)
+"""
+
+
+@pytest.mark.parametrize("when", ["starting", "running", "collecting", "always collecting"])
+def test_an_interrupted_run_leaves_a_recording(tmp_path, when):
+    script = tmp_path / "script.py"
+    script.write_text(INTERRUPTED)
     environment = os.environ | {"PYTHONPATH": str(ROOT / "bindings" / "tests")}
     process = subprocess.Popen(
-        [sys.executable, script],
+        [sys.executable, script, when],
         cwd=tmp_path,
         env=environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        start_new_session=True,
     )
     try:
         assert process.stdout is not None
         assert process.stdout.readline() == "begun\n", process.communicate()
-        process.send_signal(2)
+        # The one is sent by itself, and falls into a callback of the collector.
+        if when != "collecting":
+            time.sleep(0.5)
+            os.killpg(process.pid, signal.SIGINT)
         _, errors = process.communicate(timeout=60)
     finally:
         process.kill()
     assert "KeyboardInterrupt" in errors, errors
-    recording = px.load(tmp_path / "run.mcap")
-    assert recording.truncated is None
-    assert len(recording["agent"].seq) >= 10
+    if when != "starting":
+        recording = px.load(tmp_path / "run.mcap")
+        assert recording.truncated is None
+        assert len(recording["agent"].seq) >= 10
 
 
 def test_recordings_are_views():

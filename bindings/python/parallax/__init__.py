@@ -7,6 +7,8 @@ functions; `Graph` holds a graph, generates schedules for it and compiles it to 
 Times are seconds since the run's start, in SI units throughout, unless a name ends in `_ns`.
 """
 
+# Before anything that takes long to import: it has a Ctrl-C come again that falls into a callback.
+from . import _interrupts as _interrupts
 from ._native import ParallaxError, __version__
 from .cache import use_compilation_cache
 from .commands import CommandError
