@@ -170,6 +170,9 @@ fn the_parts_of_a_rotated_recording_are_joined() {
     succeeds(&["sim", "pendulum", "--duration", "0.5", "--out", &other]);
     refused(&["join", &first, &other, "--out", &whole], "is no part of the run");
     refused(&["join", &first, &parts[1], "--out", &first], "would be written over");
+    // A part that was left out is missed.
+    let output = parallax(&["join", &first, &parts[2], "--out", &whole]).wait_with_output().unwrap();
+    assert!(output.status.success() && text(&output).contains("are in no part"), "{}", text(&output));
 }
 
 #[test]

@@ -10,7 +10,7 @@ use parallax_runtime::graph::{GraphSpec, NodeSpec};
 use parallax_runtime::node::{Consumed, Layout};
 use parallax_runtime::recording::{
     Change, ChangeKind, Clock, Fault, FaultKind, InputRecord, Loss, LossReason, MessageRecord, NodeTrack,
-    Recording, RecordingError, StepRecord, write,
+    Recording, RecordingError, StepRecord, join, write,
 };
 use proptest::prelude::*;
 
@@ -302,4 +302,64 @@ fn a_payload_of_another_length_is_refused() {
     let text =
         write(&folder.path().join("a.mcap"), &recording).expect_err("three values, two leaves").to_string();
     assert!(text.contains("camera") && text.contains("message 5") && text.contains("2 leaves"), "{text}");
+}
+
+/// A machine crashed, and what it had not sent is missing from the recording: the copy that it kept has it.
+#[test]
+fn what_a_machine_kept_fills_what_is_missing() {
+    let folder = tempfile::tempdir().unwrap();
+    let put = |name: &str, recording: &Recording| {
+        let path = folder.path().join(name);
+        write(&path, recording).unwrap();
+        path
+    };
+    let far = |start: i64, range: std::ops::Range<u64>, lost: &[u64]| {
+        let mut recording = sample();
+        recording.clock = Clock::Wall { start, host: format!("host{start}"), seed: 3 };
+        recording.hosts =
+            recording.nodes.iter().map(|track| (track.name.clone(), "plant".to_owned())).collect();
+        recording.nodes[1..].iter_mut().for_each(|track| {
+            track.steps.clear();
+            track.messages.clear();
+        });
+        let track = &mut recording.nodes[0];
+        let (step, message) = (track.steps[0].clone(), track.messages[0].clone());
+        let time = |seq: u64| seq as i64 * 10;
+        let steps = range.clone().map(|seq| StepRecord { seq, due: time(seq), ..step.clone() });
+        track.steps = steps.map(|step| StepRecord { start: step.due, end: step.due + 1, ..step }).collect();
+        let messages = range.map(|seq| MessageRecord { seq, sent: time(seq) + 1, ..message.clone() });
+        track.messages = messages.collect();
+        let loss = |&seq: &u64| Loss {
+            from: "b".into(),
+            to: "a".into(),
+            port: "b".into(),
+            seq,
+            time: time(seq),
+            reason: LossReason::Transport,
+        };
+        recording.losses = lost.iter().map(loss).collect();
+        recording.faults.clear();
+        recording
+    };
+    // Steps 4 and 5 are in the copy alone, and one loss in both.
+    let mut holed = far(1, 0..8, &[2]);
+    holed.nodes[0].steps.retain(|step| !(4..6).contains(&step.seq));
+    holed.nodes[0].messages.retain(|message| !(4..6).contains(&message.seq));
+    let (run, copy) = (put("run.mcap", &holed), put("copy.mcap", &far(2, 0..6, &[2, 4])));
+    let whole = join(&[&run, &copy]).unwrap();
+    let seqs: Vec<u64> = whole.nodes[0].steps.iter().map(|step| step.seq).collect();
+    assert_eq!(seqs, (0..8).collect::<Vec<_>>());
+    assert_eq!(whole.nodes[0].messages.iter().map(|message| message.seq).collect::<Vec<_>>(), seqs);
+    assert_eq!(whole.losses.iter().map(|loss| loss.seq).collect::<Vec<_>>(), [2, 4]);
+    assert_eq!(whole.clock, holed.clock);
+
+    // What is no copy of this run is said to be none.
+    let mut other = far(3, 0..6, &[]);
+    other.nodes[0].steps[3].start += 1;
+    let refused = |path: &Path| join(&[run.as_path(), path]).unwrap_err().to_string();
+    assert!(refused(&put("other.mcap", &other)).contains("a copy of another run"));
+    assert!(refused(&put("later.mcap", &far(4, 20..30, &[]))).contains("shares no step"));
+    let mut seeded = far(5, 0..6, &[]);
+    seeded.clock = Clock::Wall { start: 5, host: "host5".into(), seed: 4 };
+    assert!(refused(&put("seeded.mcap", &seeded)).contains("another seed"));
 }

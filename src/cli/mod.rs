@@ -95,7 +95,7 @@ enum Command {
     /// Say what is in a recording, a folder of logs, a graph or a system.
     #[command(after_help = EXIT_CODES)]
     Info(info::Arguments),
-    /// Make one recording of the parts of a run that was recorded with --rotate, or whose recorder died.
+    /// Make one recording of the parts of a run: of --rotate, of a recorder that died, or of several machines.
     #[command(after_help = EXIT_CODES)]
     Join(join::Arguments),
     /// Say how long steps and messages took in a recording, and fit distributions to that.

@@ -134,26 +134,24 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
 
 /// A size such as `500MB` or a time such as `10min`.
 fn rotate(text: &str) -> Result<Rotate, String> {
-    const UNITS: [(&str, f64); 8] = [
+    const UNITS: [(&str, f64); 9] = [
         ("kB", 1e3),
         ("MB", 1e6),
         ("GB", 1e9),
         ("KiB", 1024.0),
         ("MiB", 1_048_576.0),
         ("GiB", 1_073_741_824.0),
+        ("s", 1.0),
         ("min", 60.0),
         ("h", 3600.0),
     ];
     let form = || "it must be a size such as 500MB or 2GiB, or a time such as 90s, 10min or 1h".to_owned();
     let digits = text.find(|c: char| c.is_ascii_alphabetic()).ok_or_else(form)?;
     let number: f64 = text[..digits].trim().parse().map_err(|_| form())?;
-    let unit = &text[digits..];
-    let factor = UNITS.iter().find(|(name, _)| *name == unit).map(|(_, factor)| *factor);
-    let rotate = match (unit, factor) {
-        ("s", _) => Rotate::Time((number * 1e9) as Nanos),
-        ("min" | "h", Some(factor)) => Rotate::Time((number * factor * 1e9) as Nanos),
-        (_, Some(factor)) => Rotate::Bytes((number * factor) as u64),
-        _ => return Err(form()),
+    let rotate = match UNITS.iter().find(|(name, _)| name.eq_ignore_ascii_case(&text[digits..])) {
+        Some(("s" | "min" | "h", factor)) => Rotate::Time((number * factor * 1e9) as Nanos),
+        Some((_, factor)) => Rotate::Bytes((number * factor) as u64),
+        None => return Err(form()),
     };
     match rotate {
         Rotate::Bytes(bytes) if bytes < 100_000 => {
@@ -314,20 +312,22 @@ fn print_messages(report: &RunReport) {
 /// What crossed between this machine and others.
 fn print_link(link: &LinkReport) {
     let row = |crossing: &Crossing| {
-        let counts = [crossing.sent, crossing.received, crossing.lost, crossing.malformed];
+        let counts =
+            [crossing.sent, crossing.held_back, crossing.received, crossing.lost, crossing.malformed];
         let counts = counts.map(|count| count.to_string());
         let size = format!("{:.1} kB", crossing.bytes as f64 / 1e3);
         [vec![crossing.channel.clone()], counts.to_vec(), vec![size]].concat()
     };
     let rows: Vec<Vec<String>> = link.crossings.iter().map(row).collect();
-    output::table(&["crossed", "sent", "received", "lost", "malformed", "size"], &rows);
+    output::table(&["crossed", "sent", "held back", "received", "lost", "malformed", "size"], &rows);
     link.clocks.iter().map(clock).for_each(output::line);
     if link.silences > 0 {
         output::line(format!("other machines were silent for too long {} times", link.silences));
     }
     if link.rejoined > 0 {
         output::line(format!(
-            "other machines were started again and took part again {} times",
+            "other machines were started again and took part again {} times: what they had recorded last and not sent is \
+             missing here, and counted as far as it is known; a copy that they kept (--out there) fills it: parallax join",
             link.rejoined
         ));
     }
@@ -361,6 +361,10 @@ fn notes(node: &NodeReport) -> Vec<String> {
         note(
             input.not_sent > 0,
             format!("{} messages of {} were never sent: it was down", input.not_sent, input.from),
+        );
+        note(
+            input.held_back > 0,
+            format!("{} messages of {} stayed on their machine: not all cross", input.held_back, input.from),
         );
         note(input.safe > 0, format!("saw the safe output of {} {} times", input.from, input.safe));
     }

@@ -1,24 +1,24 @@
 //! What the signs of life of all nodes add up to: how each fared, and what became of every message.
 
-use super::crew::Member;
+use super::crew::{Member, Site};
+use super::link::that_cross;
 use super::report::{Exit, InputReport, NodeReport, NonFinite};
 use super::vitals::{InputVital, Vital};
-use crate::graph::Graph;
 use crate::recording::LossReason;
 use crate::time::Nanos;
 
 /// The reports of all nodes, in the order of the graph.
-pub(super) fn reports(graph: &Graph, members: &[Member]) -> Vec<NodeReport> {
-    (0..members.len()).map(|node| report(graph, members, node)).collect()
+pub(super) fn reports(site: &Site<'_>, members: &[Member]) -> Vec<NodeReport> {
+    (0..members.len()).map(|node| report(site, members, node)).collect()
 }
 
-fn report(graph: &Graph, members: &[Member], node: usize) -> NodeReport {
-    let (plan, member) = (&graph.nodes()[node], &members[node]);
+fn report(site: &Site<'_>, members: &[Member], node: usize) -> NodeReport {
+    let (plan, member) = (&site.graph.nodes()[node], &members[node]);
     let vitals = &member.vitals;
     let non_finite = vitals.get(Vital::NonFinite);
     let leaf = vitals.get(Vital::NonFiniteLeaf) as usize;
     let inputs: Vec<InputReport> =
-        (0..plan.inputs.len()).map(|input| input_report(graph, members, node, input)).collect();
+        (0..plan.inputs.len()).map(|input| input_report(site, members, node, input)).collect();
     let mut lost: Vec<(String, u64)> = Vec::new();
     for input in &inputs {
         let count = input.lost.iter().fold(0, |sum: u64, (_, count)| sum.saturating_add(*count));
@@ -55,7 +55,8 @@ fn report(graph: &Graph, members: &[Member], node: usize) -> NodeReport {
     }
 }
 
-fn input_report(graph: &Graph, members: &[Member], node: usize, input: usize) -> InputReport {
+fn input_report(site: &Site<'_>, members: &[Member], node: usize, input: usize) -> InputReport {
+    let graph = site.graph;
     let connection = &graph.connections()[graph.nodes()[node].inputs[input]];
     let vitals = &members[node].vitals;
     let consumed = vitals.input(input, InputVital::Consumed);
@@ -64,14 +65,24 @@ fn input_report(graph: &Graph, members: &[Member], node: usize, input: usize) ->
     let mut lost: Vec<(LossReason, u64)> = LossReason::ALL
         .into_iter()
         .map(|reason| (reason, vitals.lost(input, reason)))
-        .filter(|(reason, count)| *reason != LossReason::NotSent && *count > 0)
+        .filter(|(reason, count)| reason.is_loss() && *count > 0)
         .collect();
+    let mut held_back = vitals.lost(input, LossReason::HeldBack);
     // What is malformed may be anything, but no message that was sent to this input.
     let of_sent = lost.iter().filter(|(reason, _)| *reason != LossReason::Malformed);
     // The numbers are what the node has written: their sum need not fit.
     let accounted =
         of_sent.fold(consumed.saturating_add(superseded), |sum, (_, count)| sum.saturating_add(*count));
-    let rest = sent.saturating_sub(accounted);
+    let accounted = accounted.saturating_add(held_back);
+    let mut rest = sent.saturating_sub(accounted);
+    // What was held back after the last message that came is behind no gap in the numbers.
+    let every = site.settings.every(node, connection.from);
+    if every > 1 {
+        let (known, next) =
+            (vitals.input(input, InputVital::Known), members[connection.from].vitals.get(Vital::Next));
+        let behind = next.saturating_sub(known).saturating_sub(that_cross(known, next, every)).min(rest);
+        (held_back, rest) = (held_back.saturating_add(behind), rest - behind);
+    }
     // A gap in the numbers of a machine that was started again may be seen before that machine has told of it: what nobody sent
     // was not lost on the way.
     let mut never_sent = accounted.saturating_sub(sent);
@@ -99,6 +110,7 @@ fn input_report(graph: &Graph, members: &[Member], node: usize, input: usize) ->
         in_flight: if gone { 0 } else { rest },
         lost,
         not_sent: vitals.lost(input, LossReason::NotSent).saturating_add(never_sent),
+        held_back,
         safe: vitals.input(input, InputVital::Safe),
     }
 }

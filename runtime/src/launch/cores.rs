@@ -72,3 +72,23 @@ fn too_few(graph: &Graph, nodes: &mut [NodeSettings]) -> Vec<String> {
     }
     refused
 }
+
+/// Puts this thread on its core; gives what was refused.
+pub(super) fn pin(node: &str, settings: &NodeSettings) -> Option<String> {
+    let core = settings.core?;
+    // The launcher asked which cores exist; one may have been taken away since then.
+    let done = core_affinity::set_for_current(core_affinity::CoreId { id: core });
+    (!done)
+        .then(|| format!("node {node} was to run on core {core}, which the system refuses; it runs on any"))
+}
+
+/// Lets this thread run on any of these cores.
+pub(super) fn allow(cores: &[core_affinity::CoreId]) {
+    // SAFETY: a cpu_set_t is plain bits, for which all zeros are a valid value; it outlives the calls, which change nothing
+    // but it and this thread's own setting. A refusal leaves the thread where it is.
+    unsafe {
+        let mut set: libc::cpu_set_t = std::mem::zeroed();
+        cores.iter().for_each(|core| libc::CPU_SET(core.id, &mut set));
+        libc::sched_setaffinity(0, size_of::<libc::cpu_set_t>(), &set);
+    }
+}

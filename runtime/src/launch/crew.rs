@@ -164,7 +164,7 @@ impl<'a> Crew<'a> {
                 return Ok(true);
             }
             let here = plan::output_here(graph, settings, node).subscribers;
-            let expected = here + usize::from(settings.recording);
+            let expected = here + usize::from(settings.recording) + usize::from(settings.copies());
             let got = receivers + recorders;
             if got != expected {
                 return Err(RunError::Receivers { node: graph.nodes()[node].name.clone(), got, expected });
@@ -490,7 +490,7 @@ impl<'a> Crew<'a> {
             };
             self.note(clock, node, kind);
         }
-        let reports = account::reports(self.site.graph, &self.members);
+        let reports = account::reports(&self.site, &self.members);
         (reports, std::mem::take(&mut self.journal))
     }
 }

@@ -219,14 +219,11 @@ fn check_private(graph: &Graph, nodes: &[NodeSettings], options: &RunOptions) ->
 
 /// One machine records, and that one has to be told where to.
 fn check_recorder(placement: &Placement, recording: bool) -> Result<(), RunError> {
-    let name = |host: usize| &placement.hosts[host].name;
     let problem = match placement.recorder {
         None if recording => "no machine records: name one, recorder = \"NAME\" under [link] of the launch settings, and \
                               give the file there"
             .into(),
-        Some(recorder) if recording && !placement.records_here() => {
-            format!("machine {} records for all (recorder under [link]): give the file there", name(recorder))
-        }
+        // Another one than that keeps a copy of what its own nodes record.
         Some(_) if placement.records_here() && !recording => {
             "this machine records for all (recorder under [link]): say where to, with --out FILE.mcap or --record".into()
         }
@@ -239,7 +236,7 @@ fn check_recorder(placement: &Placement, recording: bool) -> Result<(), RunError
 fn watch_only(placement: &Placement, nodes: &mut [NodeSettings]) {
     for (node, settings) in nodes.iter_mut().enumerate().filter(|(node, _)| !placement.is_here(*node)) {
         debug_assert!(node < placement.of.len());
-        *settings = NodeSettings { heartbeat: placement.silence, ..NodeSettings::default() };
+        *settings = NodeSettings { heartbeat: placement.ways[node].silence, ..NodeSettings::default() };
     }
 }
 

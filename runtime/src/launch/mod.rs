@@ -70,7 +70,7 @@ pub use door::{AskError, read_node, reset_state, set_parameters};
 pub use error::RunError;
 pub use event::{Event, EventKind, Watcher};
 pub use launcher::run;
-pub use link::{Crossing, HostSpec, LinkSpec, OnGone};
+pub use link::{ConnectionLaunch, Crossing, HostSpec, LinkPriority, LinkSpec, OnGone};
 pub use live::{
     ConnectionView, LiveError, LiveRun, NodeState, NodeView, RecorderView, RunName, Sample, Snapshot,
     live_runs,

@@ -43,6 +43,17 @@ impl Settings {
     pub(super) fn is_here(&self, node: usize) -> bool {
         self.placement.as_ref().is_none_or(|placement| placement.is_here(node))
     }
+
+    /// Whether this machine keeps a copy of what its nodes record, beside the machine that records all.
+    pub(super) fn copies(&self) -> bool {
+        self.recorder.is_some() && self.placement.as_ref().is_some_and(|placement| !placement.records_here())
+    }
+
+    /// Of how many messages from one node to another one crosses; 1 where the two are on one machine.
+    pub(super) fn every(&self, to: usize, from: usize) -> u64 {
+        let placement = self.placement.as_ref().filter(|placement| placement.of[to] != placement.of[from]);
+        placement.map_or(1, |placement| placement.ways[from].every)
+    }
 }
 
 /// Where a recording goes.
@@ -138,8 +149,9 @@ pub(super) fn channels(graph: &Graph, settings: &Settings) -> Vec<(Topic, usize)
         }
         if records {
             let topic = self::records(graph, node);
-            // The link reads what it sends itself, too.
-            let subscribers = 1 + usize::from(records_cross && !settings.is_here(node));
+            // The link reads what it sends itself, too; and where it takes records away, a copy may be kept.
+            let both = records_cross && (!settings.is_here(node) || settings.copies());
+            let subscribers = 1 + usize::from(both);
             channels.push((Topic { subscribers, ..topic }, 1 + usize::from(records_cross)));
         }
     }

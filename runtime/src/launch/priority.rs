@@ -1,6 +1,10 @@
 //! Who goes before whom: a place before ordinary programs for those who pass on orders and notice deaths, and an order among the
 //! ordinary processes of a run.
 
+use std::io;
+
+use super::settings::{NodeSettings, Policy};
+
 /// Real-time priority of a thread while this lives: the lowest there is, which still goes before every ordinary program. A
 /// graph in real time is stopped, and given safe outputs, by threads that must not wait for a compiler.
 #[derive(Debug)]
@@ -36,7 +40,7 @@ const NICE: i32 = 5;
 
 /// A node that is no real-time program wakes for moments. With a short slice (Linux 6.12) it goes at once before whoever has used
 /// its core for longer, instead of waiting until that one's slice is over. What the system refuses makes it no worse.
-pub(super) fn wake_at_once() {
+fn wake_at_once() {
     change(libc::SCHED_OTHER, 0, SLICE);
 }
 
@@ -69,6 +73,41 @@ impl Drop for Raised {
             unsafe { libc::sched_setscheduler(0, policy, &parameters) };
         }
     }
+}
+
+/// Gives this thread its scheduling policy, and keeps its memory; gives what was refused.
+pub(super) fn schedule(node: &str, settings: &NodeSettings) -> Vec<String> {
+    let mut refused = Vec::new();
+    let policy = match settings.policy {
+        Policy::Other => {
+            wake_at_once();
+            None
+        }
+        Policy::Fifo => Some((libc::SCHED_FIFO, "SCHED_FIFO")),
+        Policy::Rr => Some((libc::SCHED_RR, "SCHED_RR")),
+    };
+    if let Some((policy, name)) = policy {
+        let parameters = libc::sched_param { sched_priority: settings.priority.into() };
+        // SAFETY: `parameters` is a valid sched_param that outlives the call; 0 is the calling thread. Threads that this
+        // one starts are ordinary again.
+        if unsafe { libc::sched_setscheduler(0, policy | libc::SCHED_RESET_ON_FORK, &parameters) } != 0 {
+            let error = io::Error::last_os_error();
+            refused.push(format!(
+                "node {node} runs like any program, not under {name} with priority {}: {error}; give this user an \
+                 rtprio limit (/etc/security/limits.conf) or the program CAP_SYS_NICE",
+                settings.priority
+            ));
+        }
+    }
+    // SAFETY: the call takes an integer and changes nothing but where this process's memory may lie.
+    if settings.lock_memory && unsafe { libc::mlockall(libc::MCL_CURRENT | libc::MCL_FUTURE) } != 0 {
+        let error = io::Error::last_os_error();
+        refused.push(format!(
+            "the memory of node {node} may be paged out: {error}; give this user a memlock limit \
+             (/etc/security/limits.conf) or the program CAP_IPC_LOCK"
+        ));
+    }
+    refused
 }
 
 #[cfg(test)]

@@ -60,7 +60,7 @@ pub(super) enum End {
 pub(super) fn serve(graph: &Graph, settings: &Settings, space: &Space, stream: UnixStream) -> End {
     let mut line = Line::new(stream);
     give_way();
-    let (streams, recording) = match (open(graph, space), &settings.recorder) {
+    let (streams, recording) = match (open(graph, settings, space), &settings.recorder) {
         (Ok(streams), Some(recording)) => (streams, recording),
         (Err(error), _) => return refuse(&mut line, error.to_string()),
         (_, None) => return refuse(&mut line, "the run is not recorded".into()),
@@ -147,15 +147,18 @@ fn refuse(line: &mut Line, reason: String) -> End {
 
 /// One node's records.
 struct Stream {
+    node: usize,
     subscriber: Subscriber,
 }
 
-fn open(graph: &Graph, space: &Space) -> Result<Vec<Stream>, RunError> {
+/// The records of all nodes, or, where this is a copy, of those of this machine.
+fn open(graph: &Graph, settings: &Settings, space: &Space) -> Result<Vec<Stream>, RunError> {
     let endpoint = Endpoint::new(space)?;
     (0..graph.nodes().len())
+        .filter(|&node| !settings.copies() || settings.is_here(node))
         .map(|node| {
             let subscriber = endpoint.open(&plan::records(graph, node))?.subscriber()?;
-            Ok(Stream { subscriber })
+            Ok(Stream { node, subscriber })
         })
         .collect()
 }
@@ -378,10 +381,11 @@ impl Scribe<'_> {
 
     fn take(&mut self) -> Result<(), RunError> {
         let mut room = BATCH;
-        for (node, Stream { subscriber }) in self.streams.iter().enumerate() {
+        let streams = self.streams.len();
+        for (visited, &Stream { node, ref subscriber }) in self.streams.iter().enumerate() {
             let Ledger { next, lost, unwritten, problem, .. } = &mut self.ledger;
             // Each node has its share of the room, whatever the others send.
-            let mut share = room.div_ceil(next.len() - node);
+            let mut share = room.div_ceil(streams - visited);
             while share > 0 {
                 let got = subscriber.receive(|words| {
                     let (number, time) = match *words {

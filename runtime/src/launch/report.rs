@@ -53,7 +53,7 @@ pub struct NodeReport {
     pub exit: Exit,
 }
 
-/// What became of the messages of one input: `sent = consumed + superseded + in flight + lost`.
+/// What became of the messages of one input: `sent = consumed + superseded + in flight + lost + held back`.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct InputReport {
     /// The sender.
@@ -68,10 +68,13 @@ pub struct InputReport {
     pub superseded: u64,
     /// Messages that were still under way, or waited for a step, when the run ended.
     pub in_flight: u64,
-    /// Messages that were lost, by reason. What was [never sent](LossReason::NotSent) is not among them.
+    /// Messages that were lost, by reason. What was [never sent](LossReason::NotSent), or held back, is not among them.
     pub lost: Vec<(LossReason, u64)>,
     /// Messages that the sender was to send and did not, because it was down.
     pub not_sent: u64,
+    /// Messages that stayed on their machine, because the connection lets only one of so many cross.
+    #[serde(default)]
+    pub held_back: u64,
     /// Safe outputs that stood in for messages while the sender was gone.
     pub safe: u64,
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use parallax_model::system::Suggestion;
 use serde::{Deserialize, Serialize};
 
-use super::link::{HostSpec, LinkSpec};
+use super::link::{ConnectionLaunch, HostSpec, LinkSpec};
 use crate::graph::SafeValue;
 use crate::time::Nanos;
 
@@ -53,6 +53,9 @@ pub struct LaunchSpec {
     /// How they are connected.
     #[serde(default)]
     pub link: LinkSpec,
+    /// What holds for single connections between machines, by `FROM->TO`.
+    #[serde(rename = "connection", default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub connections: BTreeMap<String, ConnectionLaunch>,
     /// The file it was read from, for messages.
     #[serde(skip)]
     pub file: Option<PathBuf>,

@@ -332,10 +332,12 @@ impl Crew<'_> {
         }
         let node = self.site.graph.nodes()[node].name.clone();
         let fault = Fault { node, time: clock.now().max(0), kind };
-        match (&self.recorder, &mut self.bridge) {
-            (Some(recorder), _) => recorder.fault(fault),
-            (None, Some(bridge)) => bridge.tell_fault(fault),
-            (None, None) => {}
+        let elsewhere = self.site.settings.placement.as_ref().is_some_and(|p| !p.records_here());
+        if let Some(bridge) = self.bridge.as_mut().filter(|_| elsewhere) {
+            bridge.tell_fault(fault.clone());
+        }
+        if let Some(recorder) = &self.recorder {
+            recorder.fault(fault);
         }
     }
 

@@ -11,16 +11,17 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use super::control::{Answer, Line, Order, readable};
+use super::cores::{allow, pin};
 use super::desk::{Face, Front};
 use super::error::RunError;
 #[cfg(feature = "link")]
 use super::link;
 use super::orders::Orders;
 use super::plan::{self, RUN_FILE, RunFile, Settings};
-use super::priority::{Raised, wake_at_once};
+use super::priority::{Raised, schedule};
 use super::record;
 use super::report::Exit;
-use super::settings::{NodeSettings, Policy};
+use super::settings::Policy;
 use super::stepper::{StepError, Stepper, panicked};
 use crate::channel::{Endpoint, Space, Waker, clean_stale};
 use crate::clock::WallClock;
@@ -213,50 +214,6 @@ fn sleep_exactly() {
     unsafe { libc::prctl(libc::PR_SET_TIMERSLACK, 1) };
 }
 
-/// Puts this thread on its core; gives what was refused.
-fn pin(node: &str, settings: &NodeSettings) -> Option<String> {
-    let core = settings.core?;
-    // The launcher asked which cores exist; one may have been taken away since then.
-    let done = core_affinity::set_for_current(core_affinity::CoreId { id: core });
-    (!done)
-        .then(|| format!("node {node} was to run on core {core}, which the system refuses; it runs on any"))
-}
-
-/// Gives this thread its scheduling policy, and keeps its memory; gives what was refused.
-fn schedule(node: &str, settings: &NodeSettings) -> Vec<String> {
-    let mut refused = Vec::new();
-    let policy = match settings.policy {
-        Policy::Other => {
-            wake_at_once();
-            None
-        }
-        Policy::Fifo => Some((libc::SCHED_FIFO, "SCHED_FIFO")),
-        Policy::Rr => Some((libc::SCHED_RR, "SCHED_RR")),
-    };
-    if let Some((policy, name)) = policy {
-        let parameters = libc::sched_param { sched_priority: settings.priority.into() };
-        // SAFETY: `parameters` is a valid sched_param that outlives the call; 0 is the calling thread. Threads that this
-        // one starts are ordinary again.
-        if unsafe { libc::sched_setscheduler(0, policy | libc::SCHED_RESET_ON_FORK, &parameters) } != 0 {
-            let error = io::Error::last_os_error();
-            refused.push(format!(
-                "node {node} runs like any program, not under {name} with priority {}: {error}; give this user an \
-                 rtprio limit (/etc/security/limits.conf) or the program CAP_SYS_NICE",
-                settings.priority
-            ));
-        }
-    }
-    // SAFETY: the call takes an integer and changes nothing but where this process's memory may lie.
-    if settings.lock_memory && unsafe { libc::mlockall(libc::MCL_CURRENT | libc::MCL_FUTURE) } != 0 {
-        let error = io::Error::last_os_error();
-        refused.push(format!(
-            "the memory of node {node} may be paged out: {error}; give this user a memlock limit \
-             (/etc/security/limits.conf) or the program CAP_IPC_LOCK"
-        ));
-    }
-    refused
-}
-
 /// How a node's service ended.
 pub(super) enum Served {
     InOrder,
@@ -428,17 +385,6 @@ fn work(
     answers.send(&Answer::Done { exit, problem, ends_run });
     let alone = orders.launcher_gone.load(Ordering::Relaxed);
     Ok(Ended { _ports: (stepper, endpoint), alone })
-}
-
-/// Lets this thread run on any of these cores.
-fn allow(cores: &[core_affinity::CoreId]) {
-    // SAFETY: a cpu_set_t is plain bits, for which all zeros are a valid value; it outlives the calls, which change nothing
-    // but it and this thread's own setting. A refusal leaves the thread where it is.
-    unsafe {
-        let mut set: libc::cpu_set_t = std::mem::zeroed();
-        cores.iter().for_each(|core| libc::CPU_SET(core.id, &mut set));
-        libc::sched_setaffinity(0, size_of::<libc::cpu_set_t>(), &set);
-    }
 }
 
 /// Sets a flag when it goes out of scope, and closes a line then.

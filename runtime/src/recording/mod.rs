@@ -233,12 +233,19 @@ pub enum LossReason {
     NotSent,
     /// It had the wrong length, or a number that no message can have.
     Malformed,
+    /// The connection goes to another machine, and lets only one of so many messages cross.
+    HeldBack,
 }
 
 impl LossReason {
     /// All reasons.
-    pub const ALL: [Self; 5] =
-        [Self::Transport, Self::Overflow, Self::ReceiverDown, Self::NotSent, Self::Malformed];
+    pub const ALL: [Self; 6] =
+        [Self::Transport, Self::Overflow, Self::ReceiverDown, Self::NotSent, Self::Malformed, Self::HeldBack];
+
+    /// Whether it is a loss at all: what was never sent was not lost, nor was what was held back as asked.
+    pub fn is_loss(self) -> bool {
+        !matches!(self, Self::NotSent | Self::HeldBack)
+    }
 
     /// The reason in words.
     pub fn name(self) -> &'static str {
@@ -248,6 +255,7 @@ impl LossReason {
             Self::ReceiverDown => "the receiver was down",
             Self::NotSent => "never sent: the sender was down",
             Self::Malformed => "malformed",
+            Self::HeldBack => "held back: only some cross",
         }
     }
 }

@@ -178,6 +178,7 @@ fn connection(connection: &ConnectionView) -> Vec<Cell> {
         .iter()
         .map(|(reason, count)| format!("{count} ({})", reason.name()))
         .chain((connection.not_sent > 0).then(|| format!("{} never sent", connection.not_sent)))
+        .chain((connection.held_back > 0).then(|| format!("{} held back", connection.held_back)))
         .collect();
     vec![
         word(name),

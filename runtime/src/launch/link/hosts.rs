@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use parallax_model::system::Suggestion;
 use serde::{Deserialize, Serialize};
 
+use super::connections::{SHORTEST, Way};
 use crate::graph::Graph;
 use crate::launch::plan;
 use crate::launch::settings::{LaunchSpec, SettingsError};
@@ -80,6 +81,8 @@ pub(in crate::launch) struct Placement {
     pub(in crate::launch) gone: Nanos,
     pub(in crate::launch) on_gone: OnGone,
     pub(in crate::launch) patience: Nanos,
+    /// How the messages of each node cross.
+    pub(in crate::launch) ways: Vec<Way>,
 }
 
 /// A machine.
@@ -157,6 +160,10 @@ impl LaunchSpec {
                 let problem = format!("--host {me} was given, and the launch settings name no machines");
                 return Err(fail("host", "NAME", problem));
             }
+            if let Some(name) = self.connections.keys().next() {
+                let problem = "is of no use without machines; add [host.NAME]".into();
+                return Err(fail(&format!("connection.\"{name}\""), "FROM->TO", problem));
+            }
             if self.link != LinkSpec::default() {
                 return Err(fail("link", "secret", "is of no use without machines; add [host.NAME]".into()));
             }
@@ -224,11 +231,12 @@ impl LaunchSpec {
             }
             value => Ok(from_seconds(value.unwrap_or(otherwise))),
         };
-        let (silence, gone) = (time("silence", *silence, 0.5, 0.2)?, time("gone", *gone, 5.0, 0.2)?);
+        let (silence, gone) =
+            (time("silence", *silence, 0.5, SHORTEST)?, time("gone", *gone, 5.0, SHORTEST)?);
         if gone < silence {
             return Err(fail("link", "gone", "is shorter than silence".into()));
         }
-        Ok(Some(Placement {
+        let mut placement = Placement {
             me,
             of,
             lead: match lead {
@@ -242,7 +250,10 @@ impl LaunchSpec {
             on_gone: *on_gone,
             patience: time("patience", *patience, 30.0, 1.0)?,
             hosts,
-        }))
+            ways: Vec::new(),
+        };
+        placement.ways = self.ways(graph, &placement)?;
+        Ok(Some(placement))
     }
 
     /// The file with the secret, which nobody else may read.

@@ -92,7 +92,10 @@ impl Mirror {
                     let word = match (page, place) {
                         (0, place) if place == Vital::Next as usize => known.max(message),
                         (0, place) if place == Vital::Sent as usize => known.saturating_add(ahead),
-                        (0, place) if place == Vital::Records as usize => known.max(record),
+                        // Each message has a record: those that came tell of records that did not.
+                        (0, place) if place == Vital::Records as usize => {
+                            known.saturating_add(ahead).max(record)
+                        }
                         (0, place) if !lasts(place) => 0,
                         _ => known,
                     };

@@ -9,6 +9,7 @@ mod bridge;
 mod carrier;
 #[cfg(feature = "link")]
 mod clock;
+mod connections;
 mod hosts;
 #[cfg(feature = "link")]
 mod mirror;
@@ -27,6 +28,8 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 pub(super) use bridge::{Begin, Bridge, Turn};
+pub use connections::{ConnectionLaunch, LinkPriority};
+pub(super) use connections::{next_that_crosses, that_cross};
 pub(super) use hosts::Placement;
 pub use hosts::{HostSpec, LinkSpec, OnGone};
 pub(super) use page::ClockPage;
@@ -101,6 +104,9 @@ pub struct Crossing {
     pub channel: String,
     /// Messages that were handed to the network here.
     pub sent: u64,
+    /// Messages that were held back here, because the connection lets only [one of so many](ConnectionLaunch::every) cross.
+    #[serde(default)]
+    pub held_back: u64,
     /// Messages that came from the network.
     pub received: u64,
     /// Messages that another machine handed to the network and that did not come.

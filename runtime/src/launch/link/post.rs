@@ -138,7 +138,8 @@ impl Post<'_> {
         let _ = put.express(true).priority(Priority::InteractiveHigh).wait();
         for telegram in self.mirror.news(all) {
             let put = self.session.put(format!("pages/{}", self.placement.my_name()), telegram);
-            let _ = put.priority(Priority::Background).wait();
+            // Before pictures and records: who is not heard counts as silent.
+            let _ = put.priority(Priority::DataHigh).wait();
         }
     }
 

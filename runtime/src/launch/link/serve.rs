@@ -12,7 +12,7 @@ use iceoryx2_integrations_zenoh_link_carrier::ZenohCarrier;
 use iceoryx2_link::Link;
 use iceoryx2_link_tunnel::Tunnel;
 
-use super::carrier::{Books, Counted, MESSAGES, RECORDS};
+use super::carrier::{Books, Counted, MESSAGES, RECORDS, Wares};
 use super::hosts::Placement;
 use super::mirror::Mirror;
 use super::page::ClockPage;
@@ -64,20 +64,21 @@ fn work(
 ) -> Result<(), String> {
     let endpoint = Endpoint::new(space).map_err(|e| e.to_string())?;
     let listener = endpoint.listener(WAKE).map_err(|e| e.to_string())?;
-    let mut topics = Vec::new();
+    let mut wares = Vec::new();
     let mut nodes = Vec::new();
     for node in 0..graph.nodes().len() {
         if placement.crosses(graph, node) {
-            topics.push((plan::output(graph, node), MESSAGES));
+            let every = placement.ways[node].every;
+            wares.push(Wares { topic: plan::output(graph, node), number: MESSAGES, every });
             nodes.push(Some(node));
         }
         if placement.records_cross(node) {
-            topics.push((plan::records(graph, node), RECORDS));
+            wares.push(Wares { topic: plan::records(graph, node), number: RECORDS, every: 1 });
             nodes.push(None);
         }
     }
-    let names: Vec<String> = topics.iter().map(|(topic, _)| topic.name.clone()).collect();
-    let books = Books::new(topics);
+    let names: Vec<String> = wares.iter().map(|wares| wares.topic.name.clone()).collect();
+    let books = Books::new(wares);
     let session = open(graph, placement, space)?;
     let carrier =
         ZenohCarrier::open(session.clone()).map_err(|e| format!("the network cannot be used: {e}"))?;

@@ -2,10 +2,15 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
+use iceoryx2::prelude::*;
+use iceoryx2::service::Service;
+use iceoryx2::service::messaging_pattern::MessagingPattern;
+use iceoryx2::service::service_hash::ServiceHash;
 use zenoh::Wait;
 use zenoh::qos::Priority;
 use zenoh::sample::Locality;
 
+use super::LinkPriority;
 use super::carrier::Books;
 use super::clock::Offsets;
 use super::hosts::{Placement, secret};
@@ -13,9 +18,12 @@ use super::wire::{State, Tick};
 use crate::channel::Space;
 use crate::clock::monotonic;
 use crate::graph::Graph;
+use crate::launch::plan;
 use crate::random::fnv1a;
 use crate::time::Nanos;
 
+/// Bytes that wait in the kernel to leave, which it doubles: what is there no priority can overtake. Five milliseconds at 100 Mbit/s.
+const KERNEL: usize = 32_000;
 /// Telegrams of one machine that wait for the link at most.
 const WAITING: usize = 256;
 
@@ -45,13 +53,17 @@ pub(super) fn open(graph: &Graph, placement: &Placement, space: &Space) -> Resul
     let dictionary = space.path().join("-link.users");
     // In the run's directory, which nobody else may enter.
     space.write("-link.users", format!("parallax:{word}\n").as_bytes()).map_err(|e| e.to_string())?;
-    let endpoint = |host: usize| placement.hosts[host].address.map(|address| format!("tcp/{address}"));
+    let endpoint = |host: usize| {
+        placement.hosts[host].address.map(|address| format!("tcp/{address}#so_sndbuf={KERNEL}"))
+    };
     let listen: Vec<String> = endpoint(placement.me).into_iter().collect();
     let connect: Vec<String> =
         (0..placement.hosts.len()).filter(|&host| host != placement.me).filter_map(endpoint).collect();
     let mut config = zenoh::Config::default();
     let lease = (placement.gone / 1_000_000).max(500).to_string();
+    let qos = serde_json::to_string(&publications(graph, placement)?).unwrap_or_default();
     let settings = [
+        ("qos/publication", qos),
         ("mode", "\"peer\"".to_owned()),
         ("namespace", format!("\"parallax/{:016x}\"", fnv1a(graph.spec().name.as_bytes()))),
         ("listen/endpoints", serde_json::to_string(&listen).unwrap_or_default()),
@@ -76,12 +88,49 @@ pub(super) fn open(graph: &Graph, placement: &Placement, space: &Space) -> Resul
         config.insert_json5(key, &value).map_err(|e| format!("zenoh refuses the setting {key}: {e}"))?;
     }
     let session = zenoh::open(config).wait();
-    session.map_err(|error| match listen.first() {
+    session.map_err(|error| match placement.hosts[placement.me].address {
         Some(listen) => {
-            format!("{listen} cannot be opened: {error}. Is the address this machine's, and the port free?")
+            format!(
+                "tcp/{listen} cannot be opened: {error}. Is the address this machine's, and the port free?"
+            )
         }
         None => format!("the network cannot be used: {error}"),
     })
+}
+
+/// The priorities of all channels that cross, as zenoh's configuration has them.
+fn publications(graph: &Graph, placement: &Placement) -> Result<Vec<serde_json::Value>, String> {
+    let key = |topic: &str| {
+        let name =
+            ServiceName::new(topic).map_err(|e| format!("the channel {topic} cannot be named: {e:?}"))?;
+        let hash = ServiceHash::new::<<ipc::Service as Service>::ServiceNameHasher>(
+            &name,
+            MessagingPattern::PublishSubscribe,
+        );
+        // The last part is the fingerprint of the service's description.
+        Ok::<_, String>(format!("iox2/v1/channel/{}/*", hash.as_str()))
+    };
+    let mut publications = Vec::new();
+    // None is express: each of these takes a whole one of the few places in its queue, and the rest would be dropped.
+    let mut add = |topic: &str, priority: &str| {
+        let config = serde_json::json!({ "priority": priority });
+        publications.push(serde_json::json!({ "key_exprs": [key(topic)?], "config": config }));
+        Ok::<_, String>(())
+    };
+    for node in 0..graph.nodes().len() {
+        if placement.crosses(graph, node) {
+            let priority = match placement.ways[node].priority {
+                LinkPriority::Low => "data_low",
+                LinkPriority::Normal => "data",
+                LinkPriority::High => "interactive_low",
+            };
+            add(&plan::output(graph, node).name, priority)?;
+        }
+        if placement.records_cross(node) {
+            add(&plan::records(graph, node).name, "background")?;
+        }
+    }
+    Ok(publications)
 }
 
 pub(super) type Ears = Vec<zenoh::pubsub::Subscriber<()>>;

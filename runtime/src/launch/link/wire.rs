@@ -85,6 +85,10 @@ impl Terms {
     pub(in crate::launch) fn of(graph: &Graph, settings: &Settings, placement: &Placement) -> Self {
         let text = serde_json::to_string(graph.spec()).unwrap_or_default();
         let nodes = graph.nodes().iter().enumerate();
+        let ways = nodes.clone().filter_map(|(node, plan)| {
+            let way = placement.ways[node].describe(placement.silence)?;
+            Some(format!("; {}: {way}", plan.name))
+        });
         let role = |host: Option<usize>| host.map_or("none", |host| placement.hosts[host].name.as_str());
         Self {
             version: env!("CARGO_PKG_VERSION").into(),
@@ -92,14 +96,15 @@ impl Terms {
             seed: settings.seed,
             duration: settings.duration,
             placement: format!(
-                "{}; lead {}, recorder {}",
+                "{}; lead {}, recorder {}{}",
                 nodes
                     .clone()
                     .map(|(node, plan)| format!("{} on {}", plan.name, placement.host_of(node)))
                     .collect::<Vec<_>>()
                     .join(", "),
                 role(Some(placement.lead)),
-                role(placement.recorder)
+                role(placement.recorder),
+                ways.collect::<String>()
             ),
             layouts: nodes
                 .map(|(node, plan)| (plan.name.clone(), plan::output(graph, node).layout))

@@ -157,6 +157,8 @@ pub struct ConnectionView {
     pub lost_now: u64,
     /// Messages that the sender was to send and did not, because it was down.
     pub not_sent: u64,
+    /// Messages that stayed on their machine, because the connection lets only one of so many cross.
+    pub held_back: u64,
     /// Safe outputs that stood in for messages.
     pub safe: u64,
 }
@@ -293,12 +295,15 @@ fn connection(
 ) -> ConnectionView {
     let about = &node.inputs[input];
     let count = |sample: &InputSample| -> u64 {
-        let lost = sample.lost.iter().filter(|(reason, _)| *reason != LossReason::NotSent);
+        let lost = sample.lost.iter().filter(|(reason, _)| reason.is_loss());
         lost.fold(0, |sum: u64, (_, count)| sum.saturating_add(*count))
     };
     let delay = after.delay.since(&before.delay);
-    let lost = after.lost.iter().filter(|(reason, count)| *reason != LossReason::NotSent && *count > 0);
-    let not_sent = after.lost.iter().find(|(reason, _)| *reason == LossReason::NotSent);
+    let lost = after.lost.iter().filter(|(reason, count)| reason.is_loss() && *count > 0);
+    let of = |wanted: LossReason| {
+        let found = after.lost.iter().find(|(reason, _)| *reason == wanted);
+        found.map_or(0, |(_, count)| *count)
+    };
     ConnectionView {
         from: run.about.nodes[about.from].name.clone(),
         to: node.name.clone(),
@@ -315,7 +320,8 @@ fn connection(
         superseded: after.superseded,
         lost: lost.copied().collect(),
         lost_now: count(after).saturating_sub(count(before)),
-        not_sent: not_sent.map_or(0, |(_, count)| *count),
+        not_sent: of(LossReason::NotSent),
+        held_back: of(LossReason::HeldBack),
         safe: after.safe,
     }
 }

@@ -7,7 +7,7 @@ use crate::channel::{ChannelError, Subscriber};
 use crate::clock::WallClock;
 use crate::data::Data;
 use crate::graph::OnDeadSender;
-use crate::launch::link::ClockPage;
+use crate::launch::link::{ClockPage, next_that_crosses};
 use crate::launch::orders::Orders;
 use crate::launch::plan::{DATA_HEAD, MESSAGE_HEAD, data_words};
 use crate::launch::vitals::{InputVital, Vitals};
@@ -21,6 +21,8 @@ pub(super) struct Input {
     pub(super) sender_vitals: Vitals,
     /// How the clock of the sender's machine stands to this one's, where it is another.
     pub(super) clock: Option<ClockPage>,
+    /// Of so many of its messages one comes: the others stay on the sender's machine.
+    pub(super) every: u64,
     pub(super) subscriber: Subscriber,
     /// The leaves of the last message.
     pub(super) values: Box<[f64]>,
@@ -179,9 +181,31 @@ impl Stepper {
         let Range { mut start, end } = missing;
         while start < end {
             let gap = self.inputs[input].sender_vitals.skipped(start..end).unwrap_or(end..end);
-            self.lose(input, start..gap.start, time, reason)?;
+            self.miss_sent(input, start..gap.start, time, reason)?;
             self.lose(input, gap.clone(), time, LossReason::NotSent)?;
             start = gap.end;
+        }
+        Ok(())
+    }
+
+    /// Accounts for such messages that were sent: those that do not cross were held back.
+    fn miss_sent(
+        &mut self,
+        input: usize,
+        missing: Range<u64>,
+        time: Nanos,
+        reason: LossReason,
+    ) -> Result<(), ChannelError> {
+        let every = self.inputs[input].every;
+        if every == 1 {
+            return self.lose(input, missing, time, reason);
+        }
+        let Range { mut start, end } = missing;
+        while start < end {
+            let crosses = next_that_crosses(start, every).min(end);
+            self.lose(input, start..crosses, time, LossReason::HeldBack)?;
+            start = crosses.saturating_add(1).min(end);
+            self.lose(input, crosses..start, time, reason)?;
         }
         Ok(())
     }

@@ -112,6 +112,7 @@ impl Stepper {
                     }
                     _ => None,
                 },
+                every: settings.every(index, connection.from),
                 subscriber: endpoint.open(&plan::output(graph, connection.from))?.subscriber()?,
                 values: vec![0.0; connection.leaves].into(),
                 capacity: connection.data,

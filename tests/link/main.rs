@@ -3,223 +3,21 @@
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+mod cable;
+#[path = "../command/mod.rs"]
 mod command;
+mod connections;
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
-use std::sync::atomic::{AtomicU32, Ordering};
-use std::time::{Duration, Instant};
+use std::process::{Command, Stdio};
+use std::time::Duration;
 
+use cable::{AHEAD, Cable, MACHINES, Run, adds_up, graph, seen, settings, until_recorded};
 use command::fail;
-use parallax::runtime::graph::{ConnectionSpec, NodeSpec};
 use parallax::runtime::launch::{Exit, RunReport};
 use parallax::runtime::recording::{Fault, FaultKind, Recording};
 use parallax::runtime::time::to_seconds;
-
-/// What the clock of the second machine shows more, s.
-const AHEAD: i64 = 5000;
-
-/// The machines, in the order of their addresses. The first one's clock is that of these tests.
-const MACHINES: [&str; 3] = ["desk", "plant", "arm"];
-
-/// Machines with a cable between each two of them.
-struct Cable {
-    names: Vec<String>,
-    folder: tempfile::TempDir,
-}
-
-/// The address of a machine.
-fn address(machine: usize) -> String {
-    format!("10.231.7.{}", machine + 1)
-}
-
-fn ip(arguments: &[&str]) {
-    let output = Command::new("ip").args(arguments).output();
-    let refused = match &output {
-        Ok(output) if output.status.success() => return,
-        Ok(output) => String::from_utf8_lossy(&output.stderr).into_owned(),
-        Err(error) => error.to_string(),
-    };
-    panic!(
-        "`ip {}`: {refused}\nThis test makes network namespaces: it has to run as root, in a container with the capabilities \
-         NET_ADMIN and SYS_ADMIN (docker run --privileged), and with iproute2 and util-linux installed",
-        arguments.join(" ")
-    );
-}
-
-impl Cable {
-    /// Between two machines.
-    fn lay() -> Self {
-        Self::between(2)
-    }
-
-    fn between(machines: usize) -> Self {
-        static NEXT: AtomicU32 = AtomicU32::new(0);
-        let number = NEXT.fetch_add(1, Ordering::Relaxed);
-        let name = |machine: usize| format!("plx{}-{number}-{machine}", std::process::id());
-        let cable = Self { names: (0..machines).map(name).collect(), folder: tempfile::tempdir().unwrap() };
-        for name in &cable.names {
-            ip(&["netns", "add", name]);
-            ip(&["-n", name, "link", "set", "lo", "up"]);
-        }
-        for (a, b) in (0..machines).flat_map(|b| (0..b).map(move |a| (a, b))) {
-            let (here, there) = (&cable.names[a], &cable.names[b]);
-            let (to_b, to_a) = (format!("to{b}"), format!("to{a}"));
-            ip(&["link", "add", &to_b, "netns", here, "type", "veth", "peer", "name", &to_a, "netns", there]);
-            for (name, end, own, other) in [(here, &to_b, a, b), (there, &to_a, b, a)] {
-                ip(&["-n", name, "addr", "add", &address(own), "peer", &address(other), "dev", end]);
-                ip(&["-n", name, "link", "set", end, "up"]);
-            }
-        }
-        fs::write(cable.path("graph.toml"), graph()).unwrap();
-        for machine in &MACHINES[..machines] {
-            fs::create_dir(cable.path(machine)).unwrap();
-            cable.secret(machine, "a word that nobody guesses");
-            cable.settings(machine, "");
-        }
-        cable
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.folder.path().join(name)
-    }
-
-    fn secret(&self, machine: &str, word: &str) {
-        let path = self.path(machine).join("link.secret");
-        fs::write(&path, word).unwrap();
-        fs::set_permissions(&path, fs::Permissions::from_mode(0o600)).unwrap();
-    }
-
-    fn settings(&self, machine: &str, link: &str) {
-        fs::write(self.path(machine).join("launch.toml"), settings(link)).unwrap();
-    }
-
-    /// Starts the run on a machine.
-    fn start(&self, machine: &str, more: &[&str]) -> Run {
-        let place = MACHINES.iter().position(|name| *name == machine).unwrap();
-        self.start_with_clock(machine, place as i64 * AHEAD, more)
-    }
-
-    /// The same, with a clock that is so far ahead.
-    fn start_with_clock(&self, machine: &str, ahead: i64, more: &[&str]) -> Run {
-        let place = MACHINES.iter().position(|name| *name == machine).unwrap();
-        let mut command = Command::new("ip");
-        command.args(["netns", "exec", &self.names[place]]);
-        if ahead != 0 {
-            command.args(["unshare", "--time", "--fork", "--kill-child"]);
-            command.args([format!("--monotonic={ahead}"), format!("--boottime={ahead}")]);
-        }
-        command.arg(env!("CARGO_BIN_EXE_parallax")).args(["run", self.path("graph.toml").to_str().unwrap()]);
-        command.arg("--launch").arg(self.path(machine).join("launch.toml"));
-        command.args(["--host", machine, "--json"]).args(more);
-        if machine == "desk" {
-            command.arg("--out").arg(self.path("run.mcap"));
-        }
-        Run(Some(command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()))
-    }
-
-    fn set_link(&self, state: &str) {
-        ip(&["-n", &self.names[0], "link", "set", "to1", state]);
-    }
-}
-
-impl Drop for Cable {
-    fn drop(&mut self) {
-        for name in &self.names {
-            let _ = Command::new("ip").args(["netns", "del", name]).status();
-        }
-    }
-}
-
-/// A run that does not outlive its test.
-struct Run(Option<Child>);
-
-impl Drop for Run {
-    fn drop(&mut self) {
-        if let Some(mut child) = self.0.take() {
-            let _ = child.kill();
-            let _ = child.wait();
-        }
-    }
-}
-
-impl Run {
-    fn output(mut self) -> Output {
-        self.0.take().unwrap().wait_with_output().unwrap()
-    }
-
-    #[track_caller]
-    fn report(self) -> (RunReport, Option<i32>, String) {
-        let output = self.output();
-        let errors = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(!errors.contains("panicked"), "{errors}");
-        let report =
-            serde_json::from_slice(&output.stdout).unwrap_or_else(|error| panic!("{error}: {errors}"));
-        (report, output.status.code(), errors)
-    }
-}
-
-/// The ready-made pendulum, with a safe output of the agent.
-fn graph() -> String {
-    let mut spec = parallax::nodes::graph("pendulum").unwrap();
-    spec.name = "pendulum-far".into();
-    spec.to_toml().unwrap()
-}
-
-fn settings(link: &str) -> String {
-    format!(
-        r#"
-        [link]
-        secret = "link.secret"
-        recorder = "desk"
-        {link}
-
-        [host.desk]
-        address = "10.231.7.1:7447"
-        [host.plant]
-
-        [node.world]
-        host = "plant"
-        [node.camera]
-        host = "plant"
-        [node.motor]
-        host = "plant"
-        [node.estimator]
-        host = "desk"
-        [node.agent]
-        host = "desk"
-        safe = {{ voltage = 0.0 }}
-        "#
-    )
-}
-
-/// What became of the messages of every input of the nodes on this machine adds up.
-#[track_caller]
-fn adds_up(report: &RunReport, nodes: &[&str]) {
-    for node in report.nodes.iter().filter(|node| nodes.contains(&node.node.as_str())) {
-        for input in &node.inputs {
-            let lost: u64 = input
-                .lost
-                .iter()
-                .filter(|(reason, _)| reason.name() != "malformed")
-                .map(|(_, count)| count)
-                .sum();
-            let sum = input.consumed + input.superseded + input.in_flight + lost;
-            assert_eq!(input.sent, sum, "{} -> {}: {input:?}", input.from, node.node);
-            assert!(input.sent > 0, "{} -> {}: {input:?}", input.from, node.node);
-        }
-    }
-}
-
-fn until_recorded(path: &Path) {
-    let start = Instant::now();
-    while fs::metadata(path).map_or(0, |metadata| metadata.len()) < 20_000 {
-        assert!(start.elapsed() < Duration::from_secs(60), "nothing is recorded");
-        std::thread::sleep(Duration::from_millis(20));
-    }
-}
 
 #[test]
 fn a_graph_on_two_machines_is_recorded_in_one_file_and_replays() {
@@ -380,11 +178,14 @@ fn a_machine_that_is_started_again_takes_part_again() {
     for machine in ["desk", "plant"] {
         cable.settings(machine, "gone = 1.0\n        on_gone = \"continue\"");
     }
-    let mut first = cable.start("plant", &["--duration", "14"]);
+    // The plant keeps a copy of what its own nodes record.
+    let copy = cable.path("plant.mcap");
+    let arguments = ["--duration", "14", "--out", copy.to_str().unwrap()];
+    let mut first = cable.start("plant", &arguments);
     let desk = cable.start("desk", &["--duration", "14"]);
     until_recorded(&cable.path("run.mcap"));
     cut(&mut first);
-    let plant = cable.start_with_clock("plant", AHEAD + 777, &["--duration", "14"]);
+    let plant = cable.start_with_clock("plant", AHEAD + 777, &arguments);
     let ((desk, code, errors), (plant, plant_code, plant_errors)) = (desk.report(), plant.report());
     assert_eq!((code, plant_code), (Some(0), Some(0)), "{errors}\n{plant_errors}");
     for said in ["machine plant has been silent", "machine plant is gone", "machine plant was started again"]
@@ -419,6 +220,24 @@ fn a_machine_that_is_started_again_takes_part_again() {
     for node in replay["nodes"].as_array().unwrap() {
         assert_eq!(node["differing"], 0, "{node}");
     }
+    // The copy has it: what the plant's nodes did until then, and nothing of others.
+    let copies = ["plant.mcap", "plant.1.mcap"].map(|name| cable.path(name));
+    let kept = copies.each_ref().map(|copy| Recording::read(copy).unwrap());
+    assert!(kept.iter().all(|kept| kept.node("agent").unwrap().steps.is_empty()));
+    let whole = cable.path("whole.mcap");
+    let files = [&path, &copies[0], &copies[1], &whole].map(|path| path.to_str().unwrap());
+    command::succeed(cable.folder.path(), &["join", files[0], files[1], files[2], "--out", files[3]]);
+    let whole = Recording::read(&whole).unwrap();
+    for name in ["world", "camera", "motor"] {
+        let of = |recording: &Recording| recording.node(name).unwrap().steps.clone();
+        let union: std::collections::BTreeMap<u64, _> =
+            [&recording, &kept[0], &kept[1]].into_iter().flat_map(of).map(|step| (step.seq, step)).collect();
+        assert_eq!(of(&whole), union.into_values().collect::<Vec<_>>(), "{name}");
+        assert!(of(&whole).len() >= of(&recording).len());
+        // Without a hole up to the crash.
+        let crash = kept[0].node(name).unwrap().steps.last().unwrap().seq;
+        assert_eq!(of(&whole)[crash as usize].seq, crash, "{name}");
+    }
 }
 
 #[test]
@@ -446,14 +265,7 @@ fn the_machine_that_records_goes_on_in_another_file() {
 #[test]
 fn pictures_cross_between_three_machines() {
     let cable = Cable::between(3);
-    let mut spec = parallax::nodes::graph("pendulum").unwrap();
-    spec.name = "pendulum-seen".into();
-    spec.node_mut("camera").unwrap().kind = "pendulum/detector".into();
-    spec.nodes.push(NodeSpec::new("film", "pendulum/film", 50.0));
-    spec.connections[0].to = "film".into();
-    spec.connections.push(ConnectionSpec { blocking: true, ..ConnectionSpec::new("film", "camera") });
-    spec.plant = None;
-    fs::write(cable.path("graph.toml"), spec.to_toml().unwrap()).unwrap();
+    fs::write(cable.path("graph.toml"), seen()).unwrap();
     let settings =
         settings("").replace("[host.plant]", "[host.plant]\n[host.arm]\naddress = \"10.231.7.3:7447\"");
     let motor = "[node.motor]\n        host = \"plant\"";
@@ -540,7 +352,8 @@ fn settings_that_cannot_be_are_named() {
     refuse(&[], &["launch.toml", "--host NAME, one of desk, plant"]);
     refuse(&["--host", "dsk"], &["there is no machine `dsk`", "did you mean `desk`?"]);
     refuse(&["--host", "desk"], &["this machine records", "--out"]);
-    refuse(&["--host", "plant", "--out", "x.mcap"], &["machine desk records for all"]);
+    write(&settings("").replace("recorder = \"desk\"", ""));
+    refuse(&["--host", "plant", "--out", "x.mcap"], &["no machine records"]);
     write(&settings("gone = 0.1"));
     refuse(&["--host", "desk", "--out", "x.mcap"], &["[link] gone", "at least 0.2 s"]);
     write(&settings("").replace("10.231.7.1:7447", "0.0.0.0:7447"));
