@@ -1,7 +1,9 @@
-//! A quadrotor that motion capture sees: the machine of the paper's second task, integrated here and nowhere else.
+//! A quadrotor that motion capture sees: the machine of the paper's second task, integrated by what stands in for
+//! hardware ([`airframe`](parallax_nodes::quadrotor::airframe)) and by no model.
 
 use std::f64::consts::TAU;
 
+use parallax_nodes::quadrotor::airframe::{Airframe, Flight, hover};
 use parallax_nodes::quadrotor::{Command, Motion, Reference, pid};
 use parallax_runtime::delay::Delay;
 use parallax_runtime::graph::{GraphBuilder, GraphSpec};
@@ -74,83 +76,16 @@ fn graph() -> GraphSpec {
     graph.supervisor(agent)
 }
 
-/// The machine's constants; the motor's are known.
-#[derive(Clone, Copy)]
-struct Machine {
-    mass: f64,
-    attitude_rate: f64,
-    drag: [f64; 2],
-}
-
-/// Velocity, roll, pitch, height, and what the motors do.
-#[derive(Clone, Copy, Default)]
-struct Now {
-    velocity: [f64; 3],
-    roll: f64,
-    pitch: f64,
-    height: f64,
-    motors: f64,
-}
-
-impl Now {
-    fn along(self, slope: Now, h: f64) -> Now {
-        let velocity = [0, 1, 2].map(|k| self.velocity[k] + h * slope.velocity[k]);
-        Now {
-            velocity,
-            roll: self.roll + h * slope.roll,
-            pitch: self.pitch + h * slope.pitch,
-            height: self.height + h * slope.height,
-            motors: self.motors + h * slope.motors,
-        }
-    }
-}
-
-/// Counts that carry this mass at rest.
-fn hover(mass: f64) -> f64 {
-    mass * 9.81 / (2.89e-7 + 1.43e-4 / 15.47)
-}
-
-impl Machine {
-    fn slope(&self, x: &Now, [pwm, roll, pitch]: [f64; 3]) -> Now {
-        let thrust = 1.43e-4 * x.motors + 2.89e-7 * pwm;
-        let (a, b, c) = (2.13e-11, 1.03e-6, 5.49e-4 - thrust / 4.0);
-        let effective = ((b * b - 4.0 * a * c).max(0.0).sqrt() - b) / (2.0 * a);
-        let rotors = 4.0 * (0.041 * effective + 380.83);
-        // The body's axes in the world, yaw zero.
-        let ((sr, cr), (sp, cp)) = (x.roll.sin_cos(), x.pitch.sin_cos());
-        let axes = [[cp, 0.0, -sp], [sp * sr, cr, cp * sr], [sp * cr, -sr, cp * cr]];
-        let mut force = [0.0; 3];
-        for (k, axis) in axes.iter().enumerate() {
-            let speed: f64 = (0..3).map(|i| axis[i] * x.velocity[i]).sum();
-            let along = if k == 2 { thrust } else { 0.0 } - self.drag[usize::from(k == 2)] * rotors * speed;
-            (0..3).for_each(|i| force[i] += axis[i] * along);
-        }
-        Now {
-            velocity: [force[0] / self.mass, force[1] / self.mass, force[2] / self.mass - 9.81],
-            roll: self.attitude_rate * (roll - x.roll),
-            pitch: self.attitude_rate * (pitch - x.pitch),
-            height: x.velocity[2],
-            motors: -15.47 * x.motors + pwm,
-        }
-    }
-
-    /// The midpoint rule.
-    fn step(&self, x: Now, u: [f64; 3], h: f64) -> Now {
-        let middle = x.along(self.slope(&x, u), 0.5 * h);
-        x.along(self.slope(&middle, u), h)
-    }
-}
-
 /// A flight, from rest at a height of 1 m: the machine's past, and the commands that have been sent.
-struct Flight {
-    machine: Machine,
-    past: Vec<(f64, Now)>,
+struct Flown {
+    machine: Airframe,
+    past: Vec<(f64, Flight)>,
     /// When each acts, and what it says.
     commands: Vec<(f64, [f64; 3])>,
     acting: usize,
 }
 
-impl Flight {
+impl Flown {
     fn fly(&mut self, until: f64) {
         loop {
             let (now, state) = self.past[self.past.len() - 1];
@@ -172,11 +107,11 @@ impl Flight {
     }
 
     /// Where it was at a time that it has flown through.
-    fn at(&self, time: f64) -> Now {
+    fn at(&self, time: f64) -> Flight {
         let next = self.past.partition_point(|(at, _)| *at < time.max(0.0)).min(self.past.len() - 1);
         let ((t1, b), (t0, a)) = (self.past[next], self.past[next.saturating_sub(1)]);
         let share = if t1 > t0 { ((time.max(0.0) - t0) / (t1 - t0)).clamp(0.0, 1.0) } else { 1.0 };
-        let scaled = |x: Now, by: f64| Now::default().along(x, by);
+        let scaled = |x: Flight, by: f64| Flight::default().along(x, by);
         scaled(a, 1.0 - share).along(b, share)
     }
 }
@@ -185,7 +120,7 @@ impl Flight {
 pub(crate) fn truth(seed: u64) -> anyhow::Result<Truth> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut within = |low: f64, high: f64| random.random_range(low..high);
-    let machine = Machine {
+    let machine = Airframe {
         mass: within(0.027, 0.036),
         attitude_rate: within(0.8, 1.2) / within(0.1, 0.2),
         drag: [within(5e-7, 2e-6), within(5e-7, 2e-6)],
@@ -205,8 +140,8 @@ pub(crate) fn truth(seed: u64) -> anyhow::Result<Truth> {
     send(&mut recording, "agent", reference);
 
     // The controller on board sees the machine some time ago, and its commands act some time later.
-    let start = Now { height: 1.0, motors: hover(0.03) / 15.47, ..Now::default() };
-    let mut flight = Flight { machine, past: vec![(0.0, start)], commands: Vec::new(), acting: 0 };
+    let start = Flight::hovering([0.0, 0.0, 1.0]);
+    let mut flight = Flown { machine, past: vec![(0.0, start)], commands: Vec::new(), acting: 0 };
     let radio = recording.node("pid").expect("a node of the graph");
     let consumed: Vec<(f64, f64)> =
         radio.steps.iter().map(|step| (to_seconds(step.start), to_seconds(step.end))).collect();
@@ -218,7 +153,7 @@ pub(crate) fn truth(seed: u64) -> anyhow::Result<Truth> {
         let wanted = reference(k);
         // Nothing has been seen before the first message is there.
         let known = begin >= feedback;
-        let distance = if known { wanted[2] - seen.height } else { 0.0 };
+        let distance = if known { wanted[2] - seen.position[2] } else { 0.0 };
         held = (held + distance / RATE).clamp(-0.5, 0.5);
         let speed = if known { seen.velocity[2] } else { 0.0 };
         let pwm = hover(0.03) + GAINS[0] * distance + GAINS[1] * held - GAINS[2] * speed;

@@ -1,4 +1,4 @@
-"""The pendulum's task, whole and small: a machine in real time, identified, trained for, and run."""
+"""The tasks, whole and small: a machine in real time, identified, trained for, and run."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def task(*arguments, interpreter=sys.executable):
 def test_from_a_recording_to_a_policy_that_runs(tmp_path, monkeypatch, browser):
     monkeypatch.setenv("PARALLAX_CACHE", str(tmp_path / "cache"))
     out = tmp_path / "out"
-    few = ["--record", "8", "--steps", "4096", "--runs", "1", "--run", "1", "--seed", "11"]
-    done = task("pendulum", "--out", out, *few, "--variants", "camera-delays", "--json")
+    few = ["--record", "8", "--steps", "4096", "--runs", "1", "--run", "3", "--seed", "11"]
+    done = task("pendulum", "--out", out, *few, "--variants", "camera-delays", "full-state-predicted", "--json")
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
     assert told == json.loads((out / "task.json").read_text())
@@ -34,9 +34,13 @@ def test_from_a_recording_to_a_policy_that_runs(tmp_path, monkeypatch, browser):
     # Nothing that the task could read before its end says what the machine was.
     for file in ("machine.toml", "identify.toml", "fitted.toml", "runs/camera-delays.toml"):
         assert str(truth["delay"]) not in (out / file).read_text()
-    assert set(told["variants"]) == {"camera-delays"}
+    assert set(told["variants"]) == {"camera-delays", "full-state-predicted"}
     for variant in told["variants"].values():
         assert 0.0 <= variant["upright"][0] <= variant["held"][0] <= 1.0
+    # The filter knows what was identified, and predicts to when a command acts: it is nearer there than without.
+    errors = told["variants"]["full-state-predicted"]["errors"]
+    assert all(with_it < without for with_it, without in zip(errors["predicted"], errors["filtered"], strict=True))
+    assert set(told["nodes"]) == {"world", "film", "camera", "estimator", "agent", "motor"}
     # The policy of the camera has its history in the file that the node loaded.
     policy = out / "training" / "camera-delays-4-6" / "policy.safetensors"
     assert b'"past_actions":"6"' in policy.read_bytes()
@@ -45,6 +49,30 @@ def test_from_a_recording_to_a_policy_that_runs(tmp_path, monkeypatch, browser):
         assert part in page
     assert 'src="http' not in page
     check(browser, out / "report.html")
+
+
+def test_a_quadrotor_from_a_recording_to_a_flight(tmp_path, monkeypatch):
+    monkeypatch.setenv("PARALLAX_CACHE", str(tmp_path / "cache"))
+    out = tmp_path / "out"
+    few = ["--record", "15", "--steps", "8192", "--runs", "1", "--run", "4", "--seed", "5"]
+    done = task("quadrotor", "--out", out, *few, "--variants", "delay-0.5", "--json")
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    found = {estimate["name"]: estimate["value"] for estimate in told["identified"]["estimates"]}
+    truth = told["truth"]
+    assert abs(found["mass"] / truth["mass"] - 1) < 0.03
+    assert abs(found["gain"] / found["time"] * truth["attitude_time"] / truth["attitude_gain"] - 1) < 0.05
+    # The data tell the way from a command to what is seen of it; the loops it closes share the actuator's part.
+    assert abs(found["actuator"] + found["sensor"] - truth["actuator"] - truth["sensor"]) < 4e-3
+    for file in ("machine.toml", "identify.toml", "fitted.toml", "runs/delay-0.5.toml"):
+        assert str(truth["actuator"]) not in (out / file).read_text()
+    (flight,) = told["variants"].values()
+    assert len(flight["speed"]) == len(flight["error"]) == 1
+    assert flight["error"][0] >= 0.0
+    assert told["nodes"]["pid"]["rate"] == 50.0
+    page = (out / "report.html").read_text()
+    for part in ("quadrotor", "What was identified", "Nodes", "in real time", "delay-0.5", "<svg"):
+        assert part in page
 
 
 def test_what_is_missing_is_said(tmp_path):
@@ -60,8 +88,8 @@ def test_what_is_missing_is_said(tmp_path):
     assert "/no/such/program" in done.stderr
 
 
-@pytest.mark.parametrize("arguments", [["pendulum", "--help"], ["--help"]])
+@pytest.mark.parametrize("arguments", [["pendulum", "--help"], ["quadrotor", "--help"], ["--help"]])
 def test_help_helps(arguments):
     done = task(*arguments)
     assert done.returncode == 0
-    assert "pendulum" in done.stdout
+    assert "quadrotor" in done.stdout

@@ -24,5 +24,6 @@ pub mod playback;
 pub mod policy;
 pub mod quadrotor;
 mod registry;
+mod stand_in;
 
 pub use registry::{GRAPHS, graph, registry};

@@ -5,8 +5,9 @@ use std::path::PathBuf;
 use std::process::Command;
 
 use anyhow::{Context, anyhow};
-use clap::Args;
+use clap::{Args, ValueEnum};
 use parallax_nodes::pendulum::hidden::{HiddenEffect, Machine};
+use parallax_nodes::quadrotor;
 use parallax_runtime::launch::signals::Signals;
 use serde_json::{Map, Value, json};
 
@@ -22,15 +23,24 @@ pub(crate) struct Arguments {
     /// environment, or python3.
     #[arg(long, value_name = "FILE")]
     interpreter: Option<PathBuf>,
-    /// The task and its options: `pendulum`, or `pendulum --help`.
+    /// The task and its options: `pendulum` or `quadrotor`, or `pendulum --help`.
     #[arg(required = true, trailing_var_arg = true, allow_hyphen_values = true, value_name = "TASK")]
     task: Vec<String>,
 }
 
 #[derive(Args)]
 pub(crate) struct MachineArguments {
+    /// Which task's.
+    #[arg(long, value_enum)]
+    task: Task,
     #[arg(long)]
     seed: u64,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Task {
+    Pendulum,
+    Quadrotor,
 }
 
 pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
@@ -56,10 +66,19 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
 }
 
 pub(crate) fn machine(arguments: &MachineArguments) -> Result<Outcome, Failure> {
-    let truth = HiddenEffect::Machine(Machine::draw(arguments.seed)).truth();
-    let parameters = truth.into_iter().flat_map(|truth| truth.parameters);
+    let parameters: Vec<(&str, f64)> = match arguments.task {
+        Task::Pendulum => {
+            let truth = HiddenEffect::Machine(Machine::draw(arguments.seed)).truth();
+            truth
+                .into_iter()
+                .flat_map(|truth| truth.parameters)
+                .map(|(name, value, _)| (name, value))
+                .collect()
+        }
+        Task::Quadrotor => quadrotor::hidden::Machine::draw(arguments.seed).parameters().to_vec(),
+    };
     let values: Map<String, Value> =
-        parameters.map(|(name, value, _)| (name.to_owned(), json!(value))).collect();
+        parameters.into_iter().map(|(name, value)| (name.to_owned(), json!(value))).collect();
     output::json(&values)?;
     Ok(Outcome::Done)
 }

@@ -31,6 +31,7 @@ use parallax_runtime::registry::Registry;
 
 pub use messages::{Angle, Estimate, Voltage, WorldState};
 
+use crate::stand_in::COMMANDS;
 use agent::Agent;
 use camera::Camera;
 use encoder::Encoder;
@@ -96,7 +97,7 @@ pub fn graph() -> GraphSpec {
     graph.connect(motor, estimator, estimator::MOTOR).skip().window(estimator::COMMANDS).delay(wire()).add();
     graph.connect(estimator, agent, agent::ESTIMATOR).blocking().delay(wire()).add();
     graph.connect(agent, motor, motor::AGENT).delay(wire()).add();
-    graph.connect(motor, world, world::MOTOR).skip().window(world::COMMANDS).delay(wire()).add();
+    graph.connect(motor, world, world::MOTOR).skip().window(COMMANDS).delay(wire()).add();
     graph.plant(SYSTEM);
     graph.supervisor(agent)
 }

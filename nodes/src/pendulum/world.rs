@@ -3,9 +3,7 @@
 //! It is written apart from the models on purpose, with an integrator, constants and friction of its own, so that the
 //! diagnosis cannot find its own formulas again.
 //!
-//! It integrates to the stamps of the commands, not to its own wake-ups: the state that it keeps is that at the last
-//! command's stamp, and what it shows at the start of a step is predicted from there. A command that arrives late is
-//! therefore still applied from its stamp on, and the scheduler's jitter does not become a delay of the plant.
+//! It integrates to the stamps of the commands, not to its own wake-ups, as all that stands in for hardware here.
 
 use std::f64::consts::PI;
 
@@ -15,11 +13,10 @@ use parallax_runtime::time::{Nanos, from_seconds, to_seconds};
 
 use super::hidden::{HiddenEffect, Machine};
 use super::messages::{Voltage, WorldState};
+use crate::stand_in::{Machine as StandInMachine, StandIn};
 
 /// The commands.
 pub const MOTOR: Port<Voltage> = Port::new("motor");
-/// How many commands it looks back on, so that none is missed when it wakes up late.
-pub const COMMANDS: usize = 16;
 
 /// The integration step, s.
 const STEP: f64 = 1e-4;
@@ -50,37 +47,12 @@ pub(super) fn kind(
 
 /// The world.
 #[derive(Clone, Debug)]
-pub struct World {
-    /// As of the last command's stamp.
-    kept: Pendulum,
-    /// Commands that are known but do not act yet at the kept time, oldest first.
-    pending: Pending,
-    last_seq: Option<u64>,
-}
+pub struct World(StandIn<Pendulum>);
 
 impl World {
     /// A pendulum that hangs still at the run's start, with one hidden effect.
     pub fn new(effect: HiddenEffect) -> Self {
-        Self { kept: Pendulum::new(effect, PI, 0.0), pending: Pending::new(), last_seq: None }
-    }
-
-    /// Takes a command that was sent at a time; commands come in the order of their sending.
-    fn command(&mut self, sent: Nanos, voltage: f64) {
-        let acts = sent.saturating_add(self.kept.delay());
-        if self.pending.is_full() {
-            // Cannot happen with delays below the pending commands' span; the oldest is then applied at once.
-            self.pending.take_first(&mut self.kept);
-        }
-        self.pending.push(acts, voltage);
-        // Everything that acts before this command's stamp is known by now.
-        self.pending.advance(&mut self.kept, sent);
-    }
-
-    /// The pendulum at a time, given the commands so far.
-    fn at(&self, time: Nanos) -> Pendulum {
-        let (mut pendulum, mut pending) = (self.kept, self.pending);
-        pending.advance(&mut pendulum, time);
-        pendulum
+        Self(StandIn::new(Pendulum::new(effect, PI, 0.0)))
     }
 }
 
@@ -88,59 +60,8 @@ impl Node for World {
     type Output = WorldState;
 
     fn step(&mut self, step: &Step<'_>) -> Result<WorldState, NodeError> {
-        for received in step.window(MOTOR) {
-            // Initial messages have no number; what an earlier window held was taken then.
-            if received.seq <= self.last_seq {
-                continue;
-            }
-            self.last_seq = received.seq;
-            self.command(received.sent, received.message.voltage);
-        }
-        let now = self.at(step.start);
+        let now = self.0.step(step, MOTOR);
         Ok(WorldState { angle: now.mark(), speed: now.speed, stamp: to_seconds(step.start) })
-    }
-}
-
-/// Commands that wait for their time, in a ring without allocation.
-#[derive(Clone, Copy, Debug)]
-struct Pending {
-    entries: [(Nanos, f64); Self::MOST],
-    first: usize,
-    count: usize,
-}
-
-impl Pending {
-    /// More than 40 ms of delay hold at any sensible rate.
-    const MOST: usize = 64;
-
-    const fn new() -> Self {
-        Self { entries: [(0, 0.0); Self::MOST], first: 0, count: 0 }
-    }
-
-    fn is_full(&self) -> bool {
-        self.count == Self::MOST
-    }
-
-    fn push(&mut self, acts: Nanos, voltage: f64) {
-        self.entries[(self.first + self.count) % Self::MOST] = (acts, voltage);
-        self.count += 1;
-    }
-
-    /// Moves the pendulum to when the first command acts, and applies it.
-    fn take_first(&mut self, pendulum: &mut Pendulum) {
-        let (acts, voltage) = self.entries[self.first];
-        pendulum.advance(acts);
-        pendulum.command = voltage;
-        self.first = (self.first + 1) % Self::MOST;
-        self.count -= 1;
-    }
-
-    /// Moves the pendulum to a time, applying on the way what acts before or at it.
-    fn advance(&mut self, pendulum: &mut Pendulum, until: Nanos) {
-        while self.count > 0 && self.entries[self.first].0 <= until {
-            self.take_first(pendulum);
-        }
-        pendulum.advance(until);
     }
 }
 
@@ -162,35 +83,12 @@ impl Pendulum {
         Self { effect, time: 0, angle, speed, command: 0.0, lagged: 0.0 }
     }
 
-    fn delay(&self) -> Nanos {
-        match self.effect {
-            HiddenEffect::Delay { delay } | HiddenEffect::Machine(Machine { delay, .. }) => {
-                from_seconds(delay)
-            }
-            _ => 0,
-        }
-    }
-
     /// Where the camera's mark is, rad.
     fn mark(&self) -> f64 {
         match self.effect {
             HiddenEffect::Bias { bias } => self.angle + bias,
             _ => self.angle,
         }
-    }
-
-    /// Integrates to a time under the present command. A time that is past changes nothing.
-    fn advance(&mut self, until: Nanos) {
-        if until <= self.time {
-            return;
-        }
-        let span = to_seconds(until - self.time);
-        let steps = (span / STEP).ceil().max(1.0);
-        let h = span / steps;
-        for _ in 0..steps as u64 {
-            self.step(h);
-        }
-        self.time = until;
     }
 
     /// Half a drift, a kick, half a drift: symmetric, so of second order, and steady in energy.
@@ -246,6 +144,36 @@ impl Pendulum {
             HiddenEffect::AsymmetricFriction { backward, .. } => backward,
             _ => 0.0,
         }
+    }
+}
+
+impl StandInMachine for Pendulum {
+    type Command = Voltage;
+
+    fn delay(&self) -> Nanos {
+        match self.effect {
+            HiddenEffect::Delay { delay } | HiddenEffect::Machine(Machine { delay, .. }) => {
+                from_seconds(delay)
+            }
+            _ => 0,
+        }
+    }
+
+    fn apply(&mut self, Voltage { voltage }: Voltage) {
+        self.command = voltage;
+    }
+
+    fn advance(&mut self, until: Nanos) {
+        if until <= self.time {
+            return;
+        }
+        let span = to_seconds(until - self.time);
+        let steps = (span / STEP).ceil().max(1.0);
+        let h = span / steps;
+        for _ in 0..steps as u64 {
+            self.step(h);
+        }
+        self.time = until;
     }
 }
 

@@ -4,13 +4,21 @@
 //! world ──> mocap ──> agent ──> pid ──> world
 //!             └────────────────^
 //! ```
+//!
+//! A machine that stands in for hardware takes the places of world, motion capture and controller: [`world`] and
+//! [`drivers`], of which nothing is known but the equations ([`hidden`]).
 
 pub mod agent;
+pub mod airframe;
+pub mod drivers;
+pub mod hidden;
 mod messages;
 pub mod mocap;
 pub mod pid;
 pub mod plant;
 pub mod simulator;
+pub mod surveyor;
+pub mod world;
 
 use parallax_runtime::delay::Delay;
 use parallax_runtime::graph::{GraphBuilder, GraphSpec};
@@ -31,6 +39,10 @@ pub fn kinds(registry: Registry) -> Registry {
         .with("quadrotor/mocap", mocap::kind())
         .with("quadrotor/agent", agent::kind())
         .with("quadrotor/pid", pid::kind())
+        .with("quadrotor/surveyor", surveyor::kind())
+        .with("quadrotor/world", world::kind())
+        .with("quadrotor/tracker", drivers::tracker())
+        .with("quadrotor/onboard", drivers::onboard())
         .with("quadrotor/policy", crate::policy::kind::<Motion, Reference>())
 }
 

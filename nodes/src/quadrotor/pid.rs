@@ -3,7 +3,7 @@
 
 use parallax_model::node_model::{NodeModel, NodeStep};
 use parallax_model::{Scalar, Tree};
-use parallax_runtime::node::Port;
+use parallax_runtime::node::{NodeContext, NodeError, Port};
 use parallax_runtime::registry::NodeKind;
 use parallax_runtime::tuning::Parameter;
 use serde::Deserialize;
@@ -65,17 +65,37 @@ pub struct HeightPid;
 
 /// The kind `quadrotor/pid`.
 pub fn kind() -> NodeKind {
-    NodeKind::model::<HeightPid>(|context| {
-        let Settings { proportional, integral, derivative } = context.parameters()?;
-        let (hover, period) = (hover_pwm(&Params::default()), 1.0 / context.rate);
-        Ok((Parameters { proportional, integral, derivative, hover, period }, State { integral: 0.0 }))
-    })
-    .input(MOCAP)
-    .input(AGENT)
-    .settable(Parameter::new("proportional", "1/m"))
-    .settable(Parameter::new("integral", "1/(m s)"))
-    .settable(Parameter::new("derivative", "s/m"))
-    .settable(Parameter::new("hover", "").at_least(0.0).at_most(FULL))
+    NodeKind::model::<HeightPid>(start)
+        .input(MOCAP)
+        .input(AGENT)
+        .settable(Parameter::new("proportional", "1/m"))
+        .settable(Parameter::new("integral", "1/(m s)"))
+        .settable(Parameter::new("derivative", "s/m"))
+        .settable(Parameter::new("hover", "").at_least(0.0).at_most(FULL))
+}
+
+/// What a controller begins with.
+pub(super) fn start(context: &NodeContext) -> Result<(Parameters, State), NodeError> {
+    let Settings { proportional, integral, derivative } = context.parameters()?;
+    let (hover, period) = (hover_pwm(&Params::default()), 1.0 / context.rate);
+    Ok((Parameters { proportional, integral, derivative, hover, period }, State { integral: 0.0 }))
+}
+
+/// What is commanded when this has been seen, if anything has, and that is wanted.
+#[inline(always)]
+pub(super) fn control<T: Scalar>(
+    p: &Parameters<T>,
+    state: State<T>,
+    known: T::Mask,
+    seen: Motion<T>,
+    wanted: Reference<T>,
+) -> (State<T>, Command<T>) {
+    let distance = T::select(known, wanted.height - seen.position.z, T::constant(0.0));
+    let half = T::constant(0.5);
+    let integral = (state.integral + distance * p.period).clamp(-half, half);
+    let pwm = p.hover + distance * p.proportional + integral * p.integral - seen.velocity.z * p.derivative;
+    let pwm = pwm.clamp(T::constant(0.0), T::constant(FULL));
+    (State { integral }, Command { pwm, roll: wanted.roll, pitch: wanted.pitch })
 }
 
 impl NodeModel for HeightPid {
@@ -88,13 +108,6 @@ impl NodeModel for HeightPid {
     fn step<T: Scalar>(p: &Parameters<T>, state: State<T>, step: &NodeStep<'_, T>) -> (State<T>, Command<T>) {
         let seen = step.latest::<Motion<T>>(MOCAP.name());
         let wanted = step.latest::<Reference<T>>(AGENT.name()).message;
-        let known = seen.was_sent();
-        let distance = T::select(known, wanted.height - seen.message.position.z, T::constant(0.0));
-        let half = T::constant(0.5);
-        let integral = (state.integral + distance * p.period).clamp(-half, half);
-        let pwm = p.hover + distance * p.proportional + integral * p.integral
-            - seen.message.velocity.z * p.derivative;
-        let pwm = pwm.clamp(T::constant(0.0), T::constant(FULL));
-        (State { integral }, Command { pwm, roll: wanted.roll, pitch: wanted.pitch })
+        control(p, state, seen.was_sent(), seen.message, wanted)
     }
 }

@@ -4,6 +4,8 @@ A machine whose constants and delays nobody here knows runs in real time as proc
 delays are fitted, policies are trained on what was found, and they run on the machine; one page tells what came out.
 """
 
-from .pendulum import Options, Result, pendulum
+from .pendulum import pendulum
+from .quadrotor import quadrotor
+from .work import Options, Result
 
-__all__ = ["Options", "Result", "pendulum"]
+__all__ = ["Options", "Result", "pendulum", "quadrotor"]

@@ -3,40 +3,30 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
-import secrets
-import tomllib
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..commands import Parallax
 from ..graph import Graph
-from ..recording import load
+from ..recording import Recording, load
 from ..train import (
     PENDULUM,
     GraphEnvironment,
-    Normal,
     PendulumSwingUp,
     Randomisation,
-    Training,
     Uniform,
-    train,
     varied_episodes,
 )
-from ..train.randomisation import Distribution
 from ..types import Floats
-from . import graphs
-from .report import write_report
+from . import pendulum_graphs as graphs
+from .page import figure, table, write_page
+from .work import Options, Result, Work
 
-__all__ = ["VARIANTS", "Options", "Result", "Variant", "pendulum"]
-
-SECRET = "PARALLAX_HIDDEN_SEED"
-"""The variable of the environment from which the world, and nothing else, draws what it is."""
+__all__ = ["DEFAULTS", "VARIANTS", "Variant", "pendulum"]
 
 
 @dataclass(frozen=True)
@@ -52,7 +42,7 @@ class Variant:
     past: tuple[int, int]
     """How many past observations and actions the policy sees."""
     runs_on: str
-    """What it sees of the machine: `encoder`, `camera` or `estimator`."""
+    """What it sees of the machine: `encoder`, `camera`, or the camera's filter, `predicted` or `filtered`."""
 
     @property
     def training(self) -> str:
@@ -64,8 +54,15 @@ VARIANTS: dict[str, Variant] = {
     "full-state": Variant(
         "full state, trained without delays; runs on the shaft's encoder", "encoder", False, (0, 0), "encoder"
     ),
-    "full-state-estimated": Variant(
-        "the same policy; runs on the estimator, which predicts to the present", "encoder", False, (0, 0), "estimator"
+    "full-state-predicted": Variant(
+        "the same policy; runs on the filter, which predicts to when a command acts",
+        "encoder",
+        False,
+        (0, 0),
+        "predicted",
+    ),
+    "full-state-filtered": Variant(
+        "the same policy; runs on the filter without its prediction", "encoder", False, (0, 0), "filtered"
     ),
     "full-state-delays": Variant(
         "full state and past actions, trained with the delays; runs on the encoder", "encoder", True, (0, 6), "encoder"
@@ -73,125 +70,69 @@ VARIANTS: dict[str, Variant] = {
     "camera": Variant("stacked camera angles, trained without delays", "camera", False, (4, 6), "camera"),
     "camera-delays": Variant("stacked camera angles, trained with the delays", "camera", True, (4, 6), "camera"),
 }
-"""What is compared. One with a filter that predicts to when a command acts belongs here, too."""
+"""What is compared."""
 
 
-@dataclass(frozen=True)
-class Options:
-    """What to do."""
+DEFAULTS = Options(
+    out=Path("out/task/pendulum"), variants=tuple(VARIANTS), record=21.0, runs=3, run=10.0, steps=1_000_000
+)
+"""What is done unless told otherwise."""
 
-    out: Path = Path("out/task/pendulum")
-    """The folder for everything."""
-    seed: int | None = None
-    """Which machine; none: drawn."""
-    record: float = 21.0
-    """How long to record, s."""
-    runs: int = 3
-    """Real-time runs of each variant."""
-    run: float = 10.0
-    """How long each lasts, s."""
-    steps: int = 1_000_000
-    """Steps of environments of each training."""
-    variants: tuple[str, ...] = tuple(VARIANTS)
-    """Which of `VARIANTS`."""
-    parallax: str | None = None
-    """The command line."""
-    say: Callable[[str], None] = print
-    """Gets a line for everything that is done."""
+TRUTHS = {"J": "inertia", "K": "motor", "b": "viscous", "c": "coulomb", "actuator": "delay"}
+"""What the machine calls what is identified."""
 
 
-@dataclass
-class Result:
-    """What came out."""
-
-    seed: int
-    """The machine's."""
-    identified: dict[str, Any]
-    """As `parallax identify` wrote it."""
-    truth: dict[str, float]
-    """What the machine was, asked for when all was done."""
-    variants: dict[str, dict[str, Any]] = field(default_factory=dict)
-    """For each variant, one number a run: the `upright` share of the time, and the share `held` after it first was."""
-    training: dict[str, dict[str, float]] = field(default_factory=dict)
-    """For each training its `seconds`, `steps_per_second`, `return` and share of time `upright` in simulation."""
-
-    def as_dict(self) -> dict[str, Any]:
-        """For a file."""
-        names = ("seed", "identified", "truth", "variants", "training")
-        return {name: getattr(self, name) for name in names}
-
-
-def pendulum(options: Options) -> Result:
+def pendulum(options: Options = DEFAULTS) -> Result:
     """Does the whole task; everything it writes is in `options.out`, the page is `report.html`."""
-    parallax, out, say = Parallax(options.parallax), options.out, options.say
-    out.mkdir(parents=True, exist_ok=True)
-    seed = secrets.randbelow(2**31) if options.seed is None else options.seed
-    # Only the world reads it; neither a recording nor any later step of the task knows what it means.
-    secret = {SECRET: f"machine {seed}"}
-
-    say(f"1. Recording {options.record:g} s of a machine that nobody has measured (seed {seed}).")
-    _excitation(out / "excitation.csv", options.record, seed)
-    (out / "machine.toml").write_text(Graph(graphs.recorded()).toml(), encoding="utf-8")
-    play = f"agent={out / 'excitation.csv'}"
-    recording = out / "recording.mcap"
-    length = f"{options.record}"
-    parallax("run", out / "machine.toml", "--play", play, "--duration", length, "--out", recording, secret=secret)
-
-    say("2. Identifying its constants and when a voltage acts, from the recording.")
-    (out / "identify.toml").write_text(graphs.IDENTIFY, encoding="utf-8")
-    parallax("identify", recording, "--spec", out / "identify.toml", "--out", out / "identify")
-    identified = json.loads((out / "identify" / "identified.json").read_text(encoding="utf-8"))
-    for estimate in identified["estimates"]:
-        low, high = estimate["interval"]
-        say(f"   {estimate['name']} = {estimate['value']:.4g} {estimate['unit']} ({low:.4g} to {high:.4g})")
-
-    say("3. Fitting the delays that the stamps show.")
-    delays = json.loads(
-        parallax("delays", recording, "--out", out / "fitted.toml", "--plot", out / "delays.html", "--json")
-    )
-
+    work = Work("pendulum", options)
+    excitation = work.out / "excitation.csv"
+    _excitation(excitation, options.record, work.result.seed)
+    work.record(graphs.recorded(), "--play", f"agent={excitation}")
+    work.identify(graphs.IDENTIFY)
     chosen = {name: VARIANTS[name] for name in options.variants}
-    result = Result(seed, identified, {})
-    policies: dict[str, Path] = {}
     for name in dict.fromkeys(variant.training for variant in chosen.values()):
         variant = next(variant for variant in chosen.values() if variant.training == name)
-        say(f"4. Training {name}.")
-        training = _trained(options, variant, out)
-        policies[name] = out / "training" / name / "policy.safetensors"
-        last = training.rows[-1]
-        result.training[name] = {
-            "seconds": last["seconds"],
-            "steps_per_second": training.steps_per_second,
-            "return": float(np.max(last["return"])),
-            "upright": float(last["upright"][int(np.argmax(last["return"]))]),
-        }
-        told = result.training[name]
-        say(f"   {told['seconds']:.0f} s; upright {told['upright']:.0%} of an episode in simulation")
+        work.train(name, _environment(work, variant), PENDULUM.changed(total_steps=options.steps))
 
+    ahead = _ahead(load(work.out / "recording.mcap")) + work.estimate("actuator")["value"]
+    noise = work.result.identified["outputs"][0]["fitted"]
+    filters = graphs.filters(work.identified, noise, ahead)
     traces: dict[str, tuple[Floats, Floats]] = {}
     for name, variant in chosen.items():
         kind = "pendulum/camera-policy" if variant.runs_on == "camera" else "pendulum/policy"
-        spec = graphs.deployed(variant.runs_on, str(policies[variant.training]), kind)
-        graph = out / "runs" / f"{name}.toml"
-        graph.parent.mkdir(exist_ok=True)
-        graph.write_text(Graph(spec).toml(), encoding="utf-8")
+        used = filters if variant.runs_on in filters else {}
+        spec = graphs.deployed(variant.runs_on, str(work.policy(variant.training)), kind, used)
         shares: dict[str, list[float]] = {"upright": [], "held": []}
+        errors: dict[str, list[tuple[float, float]]] = {each: [] for each in used}
         for number in range(options.runs):
-            path = out / "runs" / f"{name}-{number}.mcap"
-            parallax("run", graph, "--duration", f"{options.run}", "--out", path, "--seed", f"{number}", secret=secret)
-            time, angle, upright = _upright(path)
+            recording = work.deploy(name, spec, number)
+            for each in used:
+                errors[each].append(_error(recording, each, ahead))
+            time, angle, upright = _upright(recording)
             shares["upright"].append(float(np.mean(upright)))
             first = int(np.argmax(upright))
             shares["held"].append(float(np.mean(upright[first:])) if upright.any() else 0.0)
             traces.setdefault(name, (time, angle))
-        result.variants[name] = {"about": variant.about, **shares}
+        means = {each: np.mean(pairs, axis=0).tolist() for each, pairs in errors.items()}
+        work.result.variants[name] = {"about": variant.about, **shares, "errors": means}
         every = ", ".join(f"{share:.0%}" for share in shares["held"])
-        say(f"5. {name}: upright {np.mean(shares['upright']):.0%} of the time; after it first stood, {every}.")
+        work.say(f"5. {name}: upright {np.mean(shares['upright']):.0%} of the time; after it first stood, {every}.")
 
-    result.truth = json.loads(parallax("task-machine", "--seed", f"{seed}"))
-    (out / "task.json").write_text(json.dumps(result.as_dict(), indent=1), encoding="utf-8")
-    write_report(out, result, delays, traces, {name: out / "training" / name for name in policies})
-    say(f"   The report is {out / 'report.html'}")
+    result = work.finish()
+    write_page(
+        work,
+        "The pendulum's task",
+        TRUTHS,
+        [
+            "<p>Upright is within 10° and 0.5 rad/s. Each number is a run; the second counts from when it first "
+            "stood.</p>",
+            _variants(result),
+            "<p>The filter's mean square error against the machine at the time at which what follows from the estimate "
+            f"acts, {1e3 * ahead:.1f} ms after the start of its step.</p>",
+            _errors(result),
+            _traces(traces),
+        ],
+    )
     return result
 
 
@@ -209,45 +150,98 @@ def _excitation(path: Path, seconds: float, seed: int) -> None:
         writer.writerows([f"{t:.6f}", f"{u:.6f}"] for t, u in zip(time, voltage, strict=True))
 
 
-def _trained(options: Options, variant: Variant, out: Path) -> Training:
-    """The training of a variant, on what was found."""
-    identified, fitted = _toml(out / "identify" / "identified.toml"), _toml(out / "fitted.toml")
-    graph = Graph(graphs.simulated(identified, fitted, variant.trained, variant.delays))
+def _environment(work: Work, variant: Variant) -> GraphEnvironment:
+    """What a variant is trained on: what was found."""
+    graph = Graph(graphs.simulated(work.identified, work.fitted, variant.trained, variant.delays))
     shows = {"world": ("angle", "speed"), "encoder": ("angle", "speed"), "camera": ("angle",)}
     camera = variant.trained == "camera"
     seen = ("cos(angle)", "sin(angle)") if camera else ("cos(angle)", "sin(angle)", "speed")
     task = PendulumSwingUp(observations=seen, messages=shows)
     episodes: Any = 64
     if variant.delays:
-        # As unsure as the identification is of the hidden delay; the others by a millisecond.
-        (hidden,) = (
-            e
-            for e in json.loads((out / "identify" / "identified.json").read_text())["estimates"]
-            if e["name"] == "actuator"
+        # The hidden delay as it was identified; the others by a millisecond.
+        episodes = varied_episodes(
+            graph, task.seconds + 2.2, identified=work.out / "identify", extra={"agent": Uniform(0.0, 1e-3)}
         )
-        name = next(name for name in graph.connections if name.startswith("motor->world"))
-        extra: dict[str, Distribution] = {name: Normal(0.0, hidden["std"] or 2e-3), "agent": Uniform(0.0, 1e-3)}
-        episodes = varied_episodes(graph, task.seconds + 2.2, extra=extra, variants=16, each=4)
-    environment = GraphEnvironment(
+    return GraphEnvironment(
         graph,
         task,
         episodes=episodes,
         past_observations=variant.past[0],
         past_actions=variant.past[1],
-        randomisation=Randomisation.identified(out / "identify", widen=2.0),
+        randomisation=Randomisation.identified(work.out / "identify", widen=2.0),
     )
-    settings = PENDULUM.changed(total_steps=options.steps)
-    return train(environment, settings, folder=out / "training" / variant.training, evaluations=10)
 
 
-def _upright(path: Path) -> tuple[Floats, Floats, Any]:
+def _upright(recording: Recording) -> tuple[Floats, Floats, Any]:
     """Times (s), the angle from upright (rad, within ±π), and whether it stood: within 10° and 0.5 rad/s."""
-    world = load(path)["world"]
-    angle, speed = (world.payload[:, world.leaves.index(leaf)] for leaf in ("angle", "speed"))
-    angle = np.angle(np.exp(1j * angle))
+    world = recording["world"]
+    angle, speed = np.angle(np.exp(1j * world["angle"])), world["speed"]
     return world.sent, angle, (np.abs(angle) < math.radians(10)) & (np.abs(speed) < 0.5)
 
 
-def _toml(path: Path) -> Mapping[str, Any]:
-    with path.open("rb") as file:
-        return tomllib.load(file)
+def _ahead(recording: Recording) -> float:
+    """How long it took on average from the start of an estimator's step to the motor's command that followed, s."""
+    estimator, agent, motor = (recording[name] for name in ("estimator", "agent", "motor"))
+    seen = agent.inputs["estimator"].seq[:, -1]
+    # The first of the motor's steps that saw each of the agent's messages.
+    sent, first = np.unique(motor.inputs["agent"].seq[:, -1], return_index=True)
+    command = dict(zip(sent.tolist(), motor.sent[first].tolist(), strict=True))
+    began = dict(zip(estimator.step_seq.tolist(), estimator.start.tolist(), strict=True))
+    pairs = zip(agent.step_seq.tolist(), seen.tolist(), strict=True)
+    took = [command[own] - began[estimate] for own, estimate in pairs if own in command and estimate in began]
+    return float(np.mean(took))
+
+
+def _error(recording: Recording, name: str, ahead: float) -> tuple[float, float]:
+    """Mean square errors of a filter's angle (rad²) and speed (rad²/s²) against the machine when a command acts."""
+    world, own = recording["world"], recording[name]
+    # The first second is the filter's own: it begins unsure.
+    counts = (own.start > 1.0) & (own.start + ahead < world.sent[-1])
+    acts = own.start[counts] + ahead
+    angle, speed = (own[leaf][: len(own.start)][counts] for leaf in ("angle", "speed"))
+    wrong = np.angle(np.exp(1j * (angle - np.interp(acts, world["stamp"], world["angle"]))))
+    slow = speed - np.interp(acts, world["stamp"], world["speed"])
+    return float(np.mean(wrong**2)), float(np.mean(slow**2))
+
+
+def _errors(result: Result) -> str:
+    """The paper's table 2."""
+    rows = [
+        [name, estimate, f"{angle:.2e} rad²", f"{speed:.2e} rad²/s²"]
+        for name, told in result.variants.items()
+        for estimate, (angle, speed) in told["errors"].items()
+    ]
+    return table(["runs of", "estimate", "angle", "speed"], rows)
+
+
+def _variants(result: Result) -> str:
+    shares = [
+        [
+            name,
+            told["about"],
+            ", ".join(f"{share:.0%}" for share in told["upright"]),
+            ", ".join(f"{share:.0%}" for share in told["held"]),
+        ]
+        for name, told in result.variants.items()
+    ]
+    return table(["variant", "", "upright", "after it first stood"], shares)
+
+
+def _traces(traces: Mapping[str, tuple[Floats, Floats]]) -> str:
+    """The angle in the first run of each variant."""
+
+    def draw(picture: Any) -> None:
+        every = np.atleast_1d(picture.subplots(len(traces), 1, sharex=True))
+        for axes, (name, (time, angle)) in zip(every, traces.items(), strict=True):
+            # A line across the picture where the angle wraps would be no motion.
+            jumps = np.abs(np.diff(angle, append=angle[-1])) > np.pi
+            axes.plot(time, np.where(jumps, np.nan, np.degrees(angle)), linewidth=0.8)
+            axes.set_ylim(-190, 190)
+            axes.set_yticks([-180, 0, 180])
+            axes.set_title(name, fontsize=9, loc="left")
+            axes.grid(alpha=0.3)
+        every[-1].set_xlabel("s")
+        picture.supylabel("degrees from upright", fontsize=9)
+
+    return figure((8, 1.5 * len(traces)), draw)

@@ -8,7 +8,7 @@ const MS: Nanos = SECOND / 1000;
 /// The pendulum after commands, each sent at a time.
 fn world(effect: HiddenEffect, commands: &[(Nanos, f64)]) -> World {
     let mut world = World::new(effect);
-    commands.iter().for_each(|(sent, voltage)| world.command(*sent, *voltage));
+    commands.iter().for_each(|(sent, voltage)| world.0.command(*sent, Voltage { voltage: *voltage }));
     world
 }
 
@@ -43,10 +43,10 @@ fn a_delay_shifts_the_response() {
     let commands = [(0, 2.0), (100 * MS, -1.0), (200 * MS, 3.0)];
     let prompt = world(HiddenEffect::None, &commands);
     let late = world(HiddenEffect::Delay { delay: 0.025 }, &commands);
-    let (prompt, late) = (prompt.at(300 * MS), late.at(325 * MS));
+    let (prompt, late) = (prompt.0.at(300 * MS), late.0.at(325 * MS));
     assert!((prompt.angle - late.angle).abs() < 1e-9, "{} {}", prompt.angle, late.angle);
     assert!((prompt.speed - late.speed).abs() < 1e-7);
-    assert!((prompt.angle - world(HiddenEffect::None, &commands).at(325 * MS).angle).abs() > 0.01);
+    assert!((prompt.angle - world(HiddenEffect::None, &commands).0.at(325 * MS).angle).abs() > 0.01);
 }
 
 #[test]
@@ -92,7 +92,7 @@ fn effects_on_the_voltage_change_it_as_their_formula_says() {
     assert_eq!(voltage(HiddenEffect::Saturation { low: -1.8, high: 2.5 }, -3.0), -1.8);
     assert_eq!(voltage(HiddenEffect::Deadband { width: 0.25 }, 0.2), 0.0);
     assert_eq!(voltage(HiddenEffect::Deadband { width: 0.25 }, -1.0), -0.75);
-    assert_eq!(World::new(HiddenEffect::Bias { bias: 0.05 }).at(0).mark(), PI + 0.05);
+    assert_eq!(World::new(HiddenEffect::Bias { bias: 0.05 }).0.at(0).mark(), PI + 0.05);
 }
 
 proptest! {
@@ -111,11 +111,11 @@ proptest! {
         let prompt = world(effect, &commands);
         let mut hesitant = World::new(effect);
         for ((sent, voltage), late) in commands.iter().zip(&late) {
-            let _ = hesitant.at(sent + late * MS);
-            hesitant.command(*sent, *voltage);
+            let _ = hesitant.0.at(sent + late * MS);
+            hesitant.0.command(*sent, Voltage { voltage: *voltage });
         }
         let end = commands.len() as Nanos * 10 * MS;
-        let (a, b) = (prompt.at(end), hesitant.at(end));
+        let (a, b) = (prompt.0.at(end), hesitant.0.at(end));
         prop_assert_eq!((a.angle.to_bits(), a.speed.to_bits()), (b.angle.to_bits(), b.speed.to_bits()));
     }
 }
