@@ -325,3 +325,16 @@ def test_the_quadrotor_flies_its_circle_or_the_episode_is_over():
         ended.append((over, float(metrics["error"])))
     assert not ended[0][0]
     assert ended[1][1] > ended[0][1] + 0.5
+
+
+def test_circles_of_other_radii_are_compiled_once():
+    made = [
+        pt.GraphEnvironment("quadrotor-simulated", pt.QuadrotorCircle(radius=radius), episodes=1)
+        for radius in (1.0, 0.5)
+    ]
+    key, params = jax.random.key(0), [environment.default_params for environment in made]
+    resets = [jax.jit(environment.reset_env) for environment in made]
+    assert len({reset.lower(key, own).as_text() for reset, own in zip(resets, params, strict=True)}) == 1
+    for radius, own in zip((1.0, 0.5), params, strict=True):
+        place = resets[0](key, own)[1].graph.state["world"]["position"]
+        assert abs(np.hypot(place["x"], place["y"]) / radius - 1.0) < 0.41

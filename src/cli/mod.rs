@@ -122,7 +122,8 @@ enum Command {
     /// Score the diagnosis on cases whose cause it cannot see.
     #[command(after_help = EXIT_CODES)]
     Withheld(withheld::Arguments),
-    /// Do a whole task, from a recording of an unknown machine to a policy that runs on it: `parallax task pendulum`.
+    /// Do a whole task, from a recording of an unknown machine to policies that run on it: `parallax task pendulum`,
+    /// `parallax task quadrotor`.
     #[command(after_help = EXIT_CODES)]
     Task(task::Arguments),
     /// Says what the machine of a task was.

@@ -17,6 +17,7 @@
 //! within a tick.
 
 mod apply;
+mod around;
 mod combination;
 mod coordinate;
 mod error;

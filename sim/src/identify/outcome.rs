@@ -4,6 +4,7 @@ use nalgebra::DMatrix;
 use parallax_model::fit::{Best, Local, Stop};
 use serde::{Deserialize, Serialize};
 
+use super::around::all_around;
 use super::combination::{Combination, Member, Spread, combinations};
 use super::coordinate::Sort;
 use super::error::IdentifyError;
@@ -205,7 +206,7 @@ pub(super) fn outcome(
         }
     });
     let covariance = covariance.collect();
-    let (involved, combinations) = combinations(&members, &spread);
+    let (involved, combinations) = combinations(&members, &spread, &all_around(problem));
     leave_open_what_only_a_sum_tells(&mut estimates, &combinations);
     let mut remarks = remarks(&estimates, &involved, &combinations);
     for (&delay, found) in problem.scattered.iter().zip(&spreads) {
@@ -249,24 +250,32 @@ fn spread_of(delay: &Estimate, (spread, of_square): (f64, f64)) -> Estimate {
 }
 
 /// Delays in a row of which the data tell the sum: a machine that starts anywhere shows nothing of the single ones, and what
-/// the information says of them is how a simulation rounds between its ticks. Each lies where its bounds and the sum allow.
+/// the information says of them is how a simulation rounds between its ticks. Each lies where its bounds and the sums allow.
 fn leave_open_what_only_a_sum_tells(estimates: &mut [Estimate], combinations: &[Combination]) {
-    for sum in
-        combinations.iter().filter(|c| !c.product && c.factors.iter().all(|(_, factor)| *factor == 1.0))
-    {
-        let of = |name: &str| estimates.iter().position(|estimate| estimate.name == name);
-        let members: Option<Vec<usize>> = sum.factors.iter().map(|(name, _)| of(name)).collect();
-        let Some(members) = members.filter(|members| members.len() > 1) else { continue };
-        let bounds: Option<Vec<[f64; 2]>> = members.iter().map(|&i| estimates[i].bounds).collect();
-        let Some(bounds) = bounds else { continue };
-        let total = |end: usize| bounds.iter().map(|bounds| bounds[end]).sum::<f64>();
+    let of = |(name, _): &(String, f64)| estimates.iter().position(|estimate| estimate.name == *name);
+    let is_sum = |c: &&Combination| {
+        !c.product && c.factors.len() > 1 && c.factors.iter().all(|(_, factor)| *factor == 1.0)
+    };
+    let sums: Vec<(Vec<usize>, &Combination)> = combinations
+        .iter()
+        .filter(is_sum)
+        .filter_map(|sum| Some((sum.factors.iter().map(of).collect::<Option<_>>()?, sum)))
+        .collect();
+    for &member in sums.iter().flat_map(|(members, _)| members) {
+        let estimate = &mut estimates[member];
+        estimate.std = None;
+        estimate.interval = estimate.bounds.unwrap_or(estimate.interval);
+    }
+    // What one sum leaves of a delay narrows the others of the next: as often as there are sums.
+    for (members, sum) in sums.iter().cycle().take(sums.len() * sums.len()) {
         let half = BELOW * sum.std;
-        for (&member, [low, high]) in members.iter().zip(&bounds) {
-            let (others_low, others_high) = (total(0) - low, total(1) - high);
-            let estimate = &mut estimates[member];
-            estimate.std = None;
-            estimate.interval =
-                [low.max(sum.value - half - others_high), high.min(sum.value + half - others_low)];
+        for &member in members {
+            let total = |end: usize| {
+                members.iter().filter(|&&i| i != member).map(|&i| estimates[i].interval[end]).sum::<f64>()
+            };
+            let [low, high] = estimates[member].interval;
+            let interval = [low.max(sum.value - half - total(1)), high.min(sum.value + half - total(0))];
+            estimates[member].interval = interval;
         }
     }
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -48,7 +48,7 @@ class Box:
 
 @partial(
     jax.tree_util.register_dataclass,
-    data_fields=["tables", "nodes", "max_steps_in_episode"],
+    data_fields=["tables", "nodes", "max_steps_in_episode", "task"],
     meta_fields=[],
 )
 @dataclass(frozen=True)
@@ -61,6 +61,8 @@ class EnvironmentParams:
     """Parameters of nodes that replace those of the graph; what is randomised is drawn after that."""
     max_steps_in_episode: Array
     """After how many steps an episode is cut off, int32; at most `GraphEnvironment.longest`."""
+    task: dict[str, Array] = field(default_factory=dict)
+    """Numbers of the task that replace its own, such as a circle's radius: other ones need no other compilation."""
 
 
 @partial(
@@ -169,7 +171,9 @@ class GraphEnvironment:
     @property
     def default_params(self) -> EnvironmentParams:
         """The schedules, and the parameters of the graph."""
-        return EnvironmentParams(self.compiled.tables, {}, jnp.asarray(self.longest, jnp.int32))
+        # A task need not have any.
+        numbers = {name: jnp.asarray(getattr(self.task, name), float) for name in getattr(self.task, "numbers", ())}
+        return EnvironmentParams(self.compiled.tables, {}, jnp.asarray(self.longest, jnp.int32), numbers)
 
     def action_space(self, params: EnvironmentParams | None = None) -> Box:
         """Shares of the actions' ranges."""
@@ -191,7 +195,7 @@ class GraphEnvironment:
         place = jnp.asarray(where * (room + 1), jnp.int32)
         graph = self.compiled.init(of_graph, params.nodes, episode, place)
         graph = replace(graph, params=self._drawn(of_params, graph.params))
-        graph = self.task.start(of_start, graph)
+        graph = self._task(params).start(of_start, graph)
         graph, seen = self.compiled.reset(graph, params.tables)
         observation = self._observe(seen)
         memory = self.interface.start(observation)
@@ -212,10 +216,11 @@ class GraphEnvironment:
         graph, seen = self.compiled.step(state.graph, message, params.tables)
         memory = self.interface.remember(state.memory, state.observation, sent)
         observation = self._observe(seen)
-        reward = jnp.asarray(self.task.reward(state.graph, state.last, sent, graph), float)
+        task = self._task(params)
+        reward = jnp.asarray(task.reward(state.graph, state.last, sent, graph), float)
         after = EnvironmentState(graph, observation, memory, sent, state.time + 1)
-        terminated = jnp.asarray(self.task.terminated(graph), bool)
-        return self.interface.inputs(observation, memory), after, reward, terminated, self.task.metrics(graph)
+        terminated = jnp.asarray(task.terminated(graph), bool)
+        return self.interface.inputs(observation, memory), after, reward, terminated, task.metrics(graph)
 
     def is_truncated(self, state: EnvironmentState, params: EnvironmentParams) -> Array:
         """Whether the time is up."""
@@ -243,6 +248,14 @@ class GraphEnvironment:
         state = jax.tree.map(partial(lax.select, done), fresh, after)
         info = {**metrics, "terminated": terminated, "truncated": truncated, "final_observation": seen}
         return observation, state, reward, terminated, truncated, info
+
+    def _task(self, params: EnvironmentParams) -> Task:
+        """The task with its numbers of now."""
+        if not params.task:
+            return self.task
+        task: Any = self.task
+        changed: Task = replace(task, **params.task)
+        return changed
 
     def _observe(self, seen: Observation) -> Array:
         message = jax.tree.map(lambda leaf: leaf[-1], seen.inputs[self.port]["message"])

@@ -17,7 +17,11 @@ __all__ = ["Task", "with_state"]
 
 
 class Task(Protocol):
-    """What a policy learns to do. All methods are pure; they see one environment."""
+    """What a policy learns to do. All methods are pure; they see one environment.
+
+    A dataclass may name fields in `numbers`: these are read from `EnvironmentParams.task`, so that environments which
+    differ in them alone are compiled once.
+    """
 
     @property
     def observations(self) -> Sequence[str]:

@@ -117,6 +117,8 @@ class QuadrotorCircle:
     """The nodes whose messages before an episode show its first state."""
     reach: float = 3.0
     """How far from the circle's middle an episode goes on, m."""
+    numbers: Sequence[str] = ("radius",)
+    """What may change without another compilation: see `EnvironmentParams.task`."""
 
     @property
     def actions(self) -> dict[str, tuple[float, float]]:
