@@ -269,6 +269,10 @@ impl Found {
     }
 }
 
+/// Share of what the leading answer leaves of held-out time that another one, which follows the other windows no worse, must
+/// predict to refute it. Evidence is of one-step predictions; what holds there and fails on fresh motion is no machine.
+const OVERTAKES: f64 = 0.9;
+
 fn conclude(title: &str, options: &Options, found: Found, lost: Option<LostCommands>) -> Diagnosis {
     let Found { setup, null, mut answers, p_value, not_testable, absorbed, mut readings } = found;
     let setup = &setup;
@@ -287,7 +291,9 @@ fn conclude(title: &str, options: &Options, found: Found, lost: Option<LostComma
     let mut with_best = None;
     while detected && answers.names() {
         let with = row(answers.leader(&null));
-        if lost.is_some() || !worse(&with) {
+        let overtakes = |other: &Row| quantify::closed(&with, other, options.seed).low > OVERTAKES;
+        let overtaken = || answers.no_worse_by_windows().any(|fit| overtakes(&row(fit)));
+        if lost.is_some() || !(worse(&with) || overtaken()) {
             with_best = Some(with);
             break;
         }

@@ -293,7 +293,7 @@ impl fmt::Display for Explanation {
             Fate::Refuted => {
                 writeln!(
                     f,
-                    "{effect} is left out: with it held-out time is predicted worse than without any effect"
+                    "{effect} is left out: with it held-out time is predicted worse than without any effect, or far worse than with another answer"
                 )?;
             }
             Fate::Absorbed { by } => {

@@ -103,8 +103,15 @@ impl Posterior {
         self.unexplained += share * named;
     }
 
-    /// Leaves out the leading answer, which makes predictions of held-out time worse: whatever the evidence says of how the
-    /// data differ from the model, the model with it is no nearer to the machine.
+    /// The fits of other answers that follow the windows no worse than the leading one.
+    pub fn no_worse_by_windows(&self) -> impl Iterator<Item = &Fit> {
+        let most = self.answers.first().map_or(0.0, |answer| answer.fit.shooting_error);
+        self.answers.iter().skip(1).map(|answer| &answer.fit).filter(move |fit| fit.shooting_error <= most)
+    }
+
+    /// Leaves out the leading answer, with which predictions of held-out time are worse than without, or far worse than with
+    /// another one: whatever the evidence says of how the data differ from the model, the model with it is no nearer to the
+    /// machine.
     pub fn refute(&mut self, setup: &Setup, null: &Fit) {
         if self.answers.is_empty() {
             return;

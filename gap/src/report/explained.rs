@@ -22,7 +22,7 @@ fn entry(explanation: &Explanation) -> String {
         Fate::Alike => format!("belongs to the answer's class: this data cannot tell it from {winner}."),
         Fate::Loses => format!("loses to {winner}."),
         Fate::Refuted => {
-            "is left out: with it held-out time is predicted worse than without any effect.".to_owned()
+            "is left out: with it held-out time is predicted worse than without any effect, or far worse than with another answer.".to_owned()
         }
         Fate::Absorbed { by } => {
             format!("is not fitted: the calibrated parameter <code>{}</code> does the same here.", escape(by))
