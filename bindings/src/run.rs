@@ -10,7 +10,7 @@ use std::time::Duration;
 use parallax_nodes::registry;
 use parallax_runtime::data::Data;
 use parallax_runtime::graph::GraphSpec;
-use parallax_runtime::launch::{self, LaunchSpec, RunAs, RunOptions};
+use parallax_runtime::launch::{self, LaunchSpec, RunAs, RunError, RunOptions};
 use parallax_runtime::recording::{
     Change, Description, Fault, FaultKind, Loss, RecordingSink, RecordingWriter, SinkError, StepView,
 };
@@ -75,7 +75,13 @@ impl NativeGraph {
                 progress: Some(Box::new(move |_| !stop.load(Ordering::Relaxed))),
                 ..RunOptions::default()
             };
-            let report = launch::run(&spec, &registry, options).map_err(|error| error.to_string())?;
+            let report = match launch::run(&spec, &registry, options) {
+                // Who stops a run has not failed: there is nothing of it yet.
+                Err(error @ RunError::Interrupted) => {
+                    return Ok(json!({ "graph": spec.name, "failure": error.to_string() }).to_string());
+                }
+                report => report.map_err(|error| error.to_string())?,
+            };
             let failure = report.failure();
             let mut told = serde_json::to_value(&report).map_err(|error| error.to_string())?;
             told["failure"] = json!(failure);

@@ -235,6 +235,7 @@ pub(crate) fn sort(error: RunError) -> Failure {
         | RunError::RecorderElsewhere { .. }
         | RunError::Group { .. }
         | RunError::PrivateForNobody { .. } => Failure::input(error),
+        RunError::Interrupted => Failure::interrupted(error),
         _ => Failure::runtime(error),
     }
 }

@@ -18,7 +18,7 @@ use super::report::{End, Exit, NodeReport};
 use super::settings::{NodeSettings, OnDeadline};
 use super::signals::Signals;
 use super::vitals::{Vital, Vitals};
-use super::worker::Worker;
+use super::worker::{LEAVING, Worker};
 use crate::channel::{Endpoint, Space};
 use crate::clock::{WallClock, monotonic};
 use crate::graph::{Graph, OnDeadSender};
@@ -97,8 +97,12 @@ pub(super) struct Crew<'a> {
 
 impl Drop for Crew<'_> {
     fn drop(&mut self) {
-        // All are told before the first is waited for.
+        // All are told before the first is waited for, and their time runs side by side.
         self.members.iter_mut().for_each(|member| member.worker.hang_up());
+        let start = Instant::now();
+        for Member { worker, .. } in &mut self.members {
+            worker.end_within(LEAVING.saturating_sub(start.elapsed()));
+        }
     }
 }
 
@@ -148,17 +152,18 @@ impl<'a> Crew<'a> {
         Ok(crew)
     }
 
-    /// Brings all nodes to the point where they wait for the common start; gives what the system refused them.
-    pub(super) fn handshake(&mut self) -> Result<Vec<String>, RunError> {
+    /// Brings all nodes to the point where they wait for the common start, unless somebody has `stopped` that; gives what the
+    /// system refused them.
+    pub(super) fn handshake(&mut self, stopped: &mut dyn FnMut() -> bool) -> Result<Vec<String>, RunError> {
         let mut said = Vec::new();
-        self.await_all("open its channels", |_, answer| {
+        self.await_all("open its channels", stopped, |_, answer| {
             let Answer::Opened { refused } = answer else { return Ok(false) };
             said.extend_from_slice(refused);
             Ok(true)
         })?;
         self.order_all(&Order::Connect);
         let (graph, settings) = (self.site.graph, self.site.settings);
-        self.await_all("connect to its receivers", |node, answer| {
+        self.await_all("connect to its receivers", stopped, |node, answer| {
             let Answer::Connected { receivers, recorders } = answer else { return Ok(false) };
             if !settings.is_here(node) {
                 return Ok(true);
@@ -192,6 +197,7 @@ impl<'a> Crew<'a> {
     fn await_all(
         &mut self,
         what: &'static str,
+        stopped: &mut dyn FnMut() -> bool,
         mut accept: impl FnMut(usize, &Answer) -> Result<bool, RunError>,
     ) -> Result<(), RunError> {
         let start = Instant::now();
@@ -220,6 +226,9 @@ impl<'a> Crew<'a> {
                 }
             }
             let Some(late) = pending.iter().position(|pending| *pending) else { return Ok(()) };
+            if stopped() {
+                return Err(RunError::Interrupted);
+            }
             if start.elapsed() > self.patience {
                 let node = self.members[late].worker.node.clone();
                 return Err(RunError::Silent { node, what, seconds: self.patience.as_secs_f64() });

@@ -123,7 +123,7 @@ pub enum RunError {
         problem: String,
     },
     /// Somebody stopped the run before it began.
-    #[error("stopped while waiting for the other machines")]
+    #[error("stopped before all nodes were ready")]
     Interrupted,
     /// Signals cannot be watched.
     #[error("cannot watch for Ctrl-C: {0}")]

@@ -16,7 +16,7 @@ use super::settings::{NodeSettings, Policy, Refused, RunAs};
 use super::signals::Signals;
 use super::vitals::Vitals;
 use super::worker::{Program, Worker};
-use super::{RunOptions, Warner, cores, worker_main};
+use super::{Progress, RunOptions, Warner, cores, worker_main};
 use crate::channel::{Endpoint, Service, Space};
 use crate::clock::{WallClock, monotonic};
 use crate::graph::{Graph, GraphSpec};
@@ -101,7 +101,13 @@ pub fn run(spec: &GraphSpec, registry: &Registry, mut options: RunOptions) -> Re
     let site = Site { graph: &graph, settings: &settings, space: &space, endpoint: &endpoint, hire: &hire };
     let mut crew = Crew::start(site, vitals, recorder, bridge, &mut options)?;
     crew.journal.warn = warnings.tell.take();
-    let refused = crew.handshake()?;
+    let mut stopped = || {
+        // When the run begins is not known yet: not before so much later.
+        let progress = Progress { elapsed: -LEAD, duration: options.duration };
+        let wanted = options.progress.as_mut().is_none_or(|told| told(progress));
+        !wanted || signals.as_ref().is_some_and(Signals::raised)
+    };
+    let refused = crew.handshake(&mut stopped)?;
     warnings.tell = crew.journal.warn.take();
     heed(refused, options.launch.refused, &mut warnings)?;
     // Every port exists now.

@@ -157,7 +157,7 @@ pub struct RunOptions {
     pub programs: BTreeMap<String, Vec<String>>,
     /// How long a node may take to be built, to connect, and to end.
     pub patience: Duration,
-    /// Called about twenty times a second while the run goes on; `false` stops the run.
+    /// Called about twenty times a second while the nodes get ready and while the run goes on; `false` stops it.
     pub progress: Option<Box<dyn FnMut(Progress) -> bool>>,
     /// Called with each warning, such as a setting that the system refuses, as soon as it is known. The
     /// [report](RunReport::warnings) has them, too.

@@ -15,6 +15,9 @@ use super::report::Exit;
 use super::stepper::panicked;
 use super::worker_main::STOP_ONLY;
 
+/// How long a process may take to leave its hardware in a safe state when the launcher leaves.
+pub(super) const LEAVING: Duration = Duration::from_millis(500);
+
 /// A running node.
 #[derive(Debug)]
 pub(super) struct Worker {
@@ -171,6 +174,13 @@ impl Worker {
         }
     }
 
+    /// Gives a process so long to end, and ends it then.
+    pub(super) fn end_within(&mut self, patience: Duration) {
+        if matches!(self.body, Body::Process(_)) && !self.join(patience) {
+            self.kill();
+        }
+    }
+
     /// Waits for its end, at most this long; says whether it came.
     pub(super) fn join(&mut self, patience: Duration) -> bool {
         let start = Instant::now();
@@ -193,8 +203,7 @@ impl Drop for Worker {
         self.hang_up();
         match &mut self.body {
             Body::Process(_) => {
-                // Time to leave the hardware in a safe state. Those of one run end side by side: all lines are closed first.
-                self.join(Duration::from_millis(500));
+                self.join(LEAVING);
                 self.kill();
                 if let Body::Process(child) = &mut self.body {
                     let _ = child.wait();

@@ -21,6 +21,10 @@ pub(crate) const TESTS: &[Test] = &[
     ("receivers_may_go_on_without_a_dead_sender", receivers_may_go_on_without_a_dead_sender),
     ("a_node_that_hangs_is_ended", a_node_that_hangs_is_ended),
     ("a_node_that_cannot_be_built_is_named", a_node_that_cannot_be_built_is_named),
+    (
+        "a_run_that_is_stopped_before_its_nodes_are_ready_ends",
+        a_run_that_is_stopped_before_its_nodes_are_ready_ends,
+    ),
     ("a_recording_that_cannot_be_written_is_refused", a_recording_that_cannot_be_written_is_refused),
     ("ctrl_c_stops_in_order", ctrl_c_stops_in_order),
     ("nodes_die_with_their_launcher", nodes_die_with_their_launcher),
@@ -118,6 +122,26 @@ fn a_node_that_cannot_be_built_is_named() {
     }
     assert!(!new.exists(), "a run that was not made leaves no empty recording");
     assert_eq!(std::fs::read_to_string(&old).unwrap(), "an older recording");
+}
+
+fn a_run_that_is_stopped_before_its_nodes_are_ready_ends() {
+    let mut graph = graph();
+    // Such as a driver that waits for its hardware.
+    graph.nodes.push(NodeSpec::new("eye", "sleepy", 10.0));
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    let began = Instant::now();
+    let progress = move |_| began.elapsed() < Duration::from_millis(300);
+    let options = RunOptions {
+        progress: Some(Box::new(progress)),
+        patience: Duration::from_secs(300),
+        ..options(0.1, &path)
+    };
+    let error = run(&graph, &registry(), options).unwrap_err();
+    assert!(matches!(error, RunError::Interrupted), "{error}");
+    println!("  stopped after 0.3 s, over after {:?}", began.elapsed());
+    assert!(began.elapsed() < Duration::from_secs(60), "{:?}", began.elapsed());
+    assert!(!path.exists(), "a run that was not made leaves no empty recording");
 }
 
 fn a_recording_that_cannot_be_written_is_refused() {

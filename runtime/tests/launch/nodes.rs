@@ -209,6 +209,13 @@ pub(crate) fn registry() -> Registry {
         .with("counter", NodeKind::new(|context| Ok(Counter { trouble: context.parameters()? })))
         .with("wall", NodeKind::new(|_| Ok(crate::wall::Wall)))
         .with("place", NodeKind::new(|_| Ok(Where)))
+        .with(
+            "sleepy",
+            NodeKind::new(|_| {
+                std::thread::sleep(std::time::Duration::from_secs(600));
+                Ok(Where)
+            }),
+        )
         .with("adder", NodeKind::new(|context| Ok(Adder { trouble: context.parameters()? })).input(SOURCE))
         .with(
             "driver",
