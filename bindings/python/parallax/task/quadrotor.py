@@ -145,10 +145,11 @@ def _path(recording: Recording) -> Floats:
 def _table_3(result: Result) -> str:
     rows = []
     for name, told in result.variants.items():
-        speeds, errors = (", ".join(f"{value:.2f}" for value in told[key]) for key in ("speed", "error"))
-        simulated = [f"{told[key]:.2f}" for key in ("simulated_speed", "simulated_error")]
-        rows.append([name, told["about"], *simulated, speeds, errors])
-    return table(["variant", "", "simulation: v (m/s)", "e (m)", "machine: v (m/s)", "e (m)"], rows)
+        speeds = ", ".join(f"{speed:.2f}" for speed in told["speed"])
+        errors = ", ".join(f"{1e3 * error:.0f}" for error in told["error"])
+        simulated = [f"{told['simulated_speed']:.2f}", f"{1e3 * told['simulated_error']:.0f}"]
+        rows.append([name, *simulated, speeds, errors])
+    return table(["variant", "simulation, m/s", "mm off", "machine, m/s", "mm off"], rows)
 
 
 def _paths(paths: Mapping[str, Mapping[str, Floats]], chosen: Mapping[str, Variant]) -> str:
