@@ -9,8 +9,9 @@ use parallax_runtime::data::Data;
 use parallax_runtime::graph::{GraphSpec, NodeSpec};
 use parallax_runtime::node::{Consumed, Layout};
 use parallax_runtime::recording::{
-    Change, ChangeKind, Clock, Fault, FaultKind, InputRecord, Loss, LossReason, MessageRecord, NodeTrack,
-    Recording, RecordingError, StepRecord, join, write,
+    Access, Change, ChangeKind, Clock, Description, Fault, FaultKind, InputRecord, Loss, LossReason,
+    MessageRecord, NodeDescription, NodeTrack, Packing, Recording, RecordingError, RecordingWriter,
+    StepRecord, join, write,
 };
 use proptest::prelude::*;
 
@@ -275,6 +276,54 @@ fn errors_name_the_file_and_the_remedy() {
     damaged[at + 3] ^= 1;
     fs::write(&path, &damaged).unwrap();
     check(read(&path), &["checksum", "at byte", "damaged"]);
+}
+
+#[test]
+fn pictures_are_packed_and_numbers_are_not_unless_somebody_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    // White but for one place.
+    let picture = |seq: u64| {
+        let mut picture = vec![255; 10_000];
+        picture[seq as usize] = 0;
+        Data::from(&picture[..])
+    };
+    let mut pictures = sample();
+    pictures.nodes[1].messages.iter_mut().for_each(|message| message.data = picture(message.seq));
+    for (recording, most) in [(&pictures, 10_000), (&sample(), 0)] {
+        let size = |packing| {
+            let path = folder.path().join(format!("{packing:?}.mcap"));
+            let nodes = recording.nodes.iter().zip([0, most, 0]).map(|(track, data)| NodeDescription {
+                name: track.name.clone(),
+                layout: track.layout.clone(),
+                initial: track.initial.clone(),
+                stand_in: track.stand_in,
+                data,
+            });
+            let description = Description {
+                graph: recording.graph.clone(),
+                clock: recording.clock.clone(),
+                nodes: nodes.collect(),
+                hosts: recording.hosts.clone(),
+            };
+            let mut writer =
+                RecordingWriter::create_for(&path, &description, Access::Owner, packing).unwrap();
+            for (node, track) in recording.nodes.iter().enumerate() {
+                for MessageRecord { seq, sent, payload, data } in &track.messages {
+                    writer.message_with_data(node, *seq, *sent, payload, data).unwrap();
+                }
+            }
+            writer.finish(recording.duration).unwrap();
+            let read = Recording::read(&path).unwrap();
+            for (read, track) in read.nodes.iter().zip(&recording.nodes) {
+                assert_eq!(read.messages, track.messages, "{packing:?}");
+            }
+            fs::metadata(&path).unwrap().len()
+        };
+        let [suited, plain, zstd] = [Packing::Suited, Packing::Plain, Packing::Zstd].map(size);
+        assert!(zstd < plain, "{zstd} {plain}");
+        assert_eq!(suited, if most > 0 { zstd } else { plain });
+        assert!(most == 0 || zstd < plain / 20, "{zstd} {plain}");
+    }
 }
 
 #[test]

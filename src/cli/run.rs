@@ -4,18 +4,35 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::anyhow;
-use clap::Args;
+use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use parallax_runtime::launch::{
     self, Crossing, End, InputReport, LaunchSpec, LinkReport, NodeReport, RecordingReport, Rotate, RunError,
     RunOptions, RunReport,
 };
+use parallax_runtime::recording::Packing;
 use parallax_runtime::time::{Nanos, to_seconds};
 
 use super::args::{NodeChange, Play, duration, graph_spec, make_parent};
 use super::failure::{Failure, Outcome, Sort};
 use super::info::clock;
 use super::{output, python};
+
+/// How a recording is packed, where it is said.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Packed {
+    None,
+    Zstd,
+}
+
+impl From<Packed> for Packing {
+    fn from(packed: Packed) -> Self {
+        match packed {
+            Packed::None => Self::Plain,
+            Packed::Zstd => Self::Zstd,
+        }
+    }
+}
 
 #[derive(Args)]
 pub(crate) struct Arguments {
@@ -33,6 +50,9 @@ pub(crate) struct Arguments {
     /// Go on in a new file (run.1.mcap, run.2.mcap, ...) at a size or after a time, such as 500MB or 10min.
     #[arg(long, value_name = "SIZE|TIME", value_parser = rotate)]
     rotate: Option<Rotate>,
+    /// Pack the recording; without it, by zstd where messages have data, such as pictures.
+    #[arg(long, value_name = "HOW")]
+    packing: Option<Packed>,
     /// Let this group read the recording, by name or number; without it, only you may.
     #[arg(long, value_name = "GROUP")]
     group: Option<String>,
@@ -98,6 +118,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         seed: arguments.seed,
         recording: out.clone(),
         rotate: arguments.rotate,
+        packing: arguments.packing.map(Packing::from).unwrap_or_default(),
         launch,
         host: arguments.host.clone(),
         programs,

@@ -173,7 +173,7 @@ fn recording_plan(options: &RunOptions) -> Result<Option<RecordingPlan>, RunErro
     let access = options.launch.group.as_ref().map_or(Ok(Access::Owner), |group| {
         Access::group(group).map_err(|source| RunError::Group { group: group.clone(), source })
     })?;
-    Ok(Some(RecordingPlan { path: absolute, rotate: options.rotate, access }))
+    Ok(Some(RecordingPlan { path: absolute, rotate: options.rotate, access, packing: options.packing }))
 }
 
 /// Says why a node made no step, as far as that is known.

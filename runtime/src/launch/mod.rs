@@ -85,6 +85,7 @@ pub use settings::{
 pub use watch::Watch;
 pub use worker_main::{NODE_COMMAND, node_main};
 
+use crate::recording::Packing;
 use crate::time::Nanos;
 
 /// How nodes run.
@@ -129,6 +130,8 @@ pub struct RunOptions {
     pub recording: Option<PathBuf>,
     /// When the recording goes on in a new file: `run.mcap`, `run.1.mcap`, and so on. Each can be read by itself.
     pub rotate: Option<Rotate>,
+    /// How the recording is packed.
+    pub packing: Packing,
     /// How single nodes are run, and what happens when they fail. It goes before [`mode`](Self::mode),
     /// [`spin`](Self::spin) and [`real_time`](Self::real_time), which hold for nodes of which it says nothing.
     pub launch: LaunchSpec,
@@ -173,6 +176,7 @@ impl Default for RunOptions {
             seed: 0,
             recording: None,
             rotate: None,
+            packing: Packing::default(),
             launch: LaunchSpec::default(),
             host: None,
             mode: Mode::default(),

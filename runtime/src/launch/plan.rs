@@ -10,7 +10,7 @@ use super::settings::NodeSettings;
 use crate::channel::Topic;
 use crate::graph::{Graph, GraphSpec, few};
 use crate::node::Layout;
-use crate::recording::{Access, LossReason};
+use crate::recording::{Access, LossReason, Packing};
 use crate::time::Nanos;
 
 /// The file in the run's directory that holds a [`RunFile`].
@@ -62,6 +62,7 @@ pub(super) struct RecordingPlan {
     pub(super) path: PathBuf,
     pub(super) rotate: Option<Rotate>,
     pub(super) access: Access,
+    pub(super) packing: Packing,
 }
 
 /// Words before the payload of a message: its number and the time it was sent.

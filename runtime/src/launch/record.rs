@@ -21,7 +21,9 @@ use super::unpack::{self, NO_RECORD};
 use super::watch::watched;
 use crate::channel::{Endpoint, Space, Subscriber};
 use crate::graph::{Graph, NodePlan};
-use crate::recording::{Access, Clock, ClockReading, Description, Fault, RecordingError, RecordingWriter};
+use crate::recording::{
+    Access, Clock, ClockReading, Description, Fault, Packing, RecordingError, RecordingWriter,
+};
 use crate::time::Nanos;
 
 /// What the recorder is called among nodes, whose names are made of letters, digits and underscores.
@@ -72,6 +74,7 @@ pub(super) fn serve(graph: &Graph, settings: &Settings, space: &Space, stream: U
         space,
         path: &recording.path,
         access: recording.access,
+        packing: recording.packing,
         rotate: recording.rotate,
         since: vec![0; ledger.next.len()],
         ledger,
@@ -188,6 +191,7 @@ struct Scribe<'a> {
     space: &'a Space,
     path: &'a Path,
     access: Access,
+    packing: Packing,
     rotate: Option<Rotate>,
     ledger: Ledger,
     streams: Vec<Stream>,
@@ -248,7 +252,7 @@ impl Scribe<'_> {
         let Some(clock) = self.clock.clone() else { return };
         let path = self.part(self.ledger.files.len());
         let description = Description { hosts: self.hosts.clone(), ..Description::new(self.graph, clock) };
-        match RecordingWriter::create_for(&path, &description, self.access) {
+        match RecordingWriter::create_for(&path, &description, self.access, self.packing) {
             Ok(writer) => {
                 self.target = Target::File(Box::new(writer), Instant::now());
                 if self.ledger.files.last() != Some(&path) {

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::{
-    Access, Description, MessageRecord, NodeDescription, NodeTrack, Recording, RecordingError,
+    Access, Description, MessageRecord, NodeDescription, NodeTrack, Packing, Recording, RecordingError,
     RecordingWriter, StepRecord,
 };
 use crate::time::Nanos;
@@ -32,7 +32,8 @@ pub fn write(path: &Path, recording: &Recording) -> Result<(), RecordingError> {
     };
     let records = in_order(&recording.nodes);
     let origin = records.iter().map(|record| record.time).min().unwrap_or(0).min(0);
-    let mut writer = RecordingWriter::with_origin(path, &description, origin, Access::Owner)?;
+    let mut writer =
+        RecordingWriter::with_origin(path, &description, origin, Access::Owner, Packing::default())?;
     for Timed { node, record, .. } in records {
         match record {
             Record::Message(MessageRecord { seq, sent, payload, data }) => {

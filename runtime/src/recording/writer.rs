@@ -16,7 +16,8 @@ use super::error::RecordingError;
 use super::ros2msg::{self, Schema};
 use super::shape::Shape;
 use super::{
-    Access, Change, ClockReading, Consumed, Fault, Loss, RecordingSink, SinkError, StepRecord, StepView,
+    Access, Change, ClockReading, Consumed, Fault, Loss, Packing, RecordingSink, SinkError, StepRecord,
+    StepView,
 };
 use crate::data::Data;
 use crate::time::Nanos;
@@ -104,10 +105,10 @@ impl RecordingWriter {
     ///
     /// [`RecordingError::Io`] when the file cannot be made.
     pub fn create(path: &Path, description: &Description) -> Result<Self, RecordingError> {
-        Self::create_for(path, description, Access::Owner)
+        Self::create_for(path, description, Access::Owner, Packing::default())
     }
 
-    /// As [`create`](Self::create), for others, too.
+    /// As [`create`](Self::create), for others, too, and packed otherwise.
     ///
     /// # Errors
     ///
@@ -116,8 +117,9 @@ impl RecordingWriter {
         path: &Path,
         description: &Description,
         access: Access,
+        packing: Packing,
     ) -> Result<Self, RecordingError> {
-        Self::with_origin(path, description, 0, access)
+        Self::with_origin(path, description, 0, access, packing)
     }
 
     pub(super) fn with_origin(
@@ -125,6 +127,7 @@ impl RecordingWriter {
         description: &Description,
         origin: Nanos,
         access: Access,
+        packing: Packing,
     ) -> Result<Self, RecordingError> {
         let io = |source| RecordingError::Io { path: path.into(), what: "create the file", source };
         let fail = |source| RecordingError::Write { path: path.into(), source };
@@ -136,8 +139,8 @@ impl RecordingWriter {
             source,
         })?;
         let file = BufWriter::with_capacity(CHUNK_BYTES as usize, file);
-        let mut mcap = WriteOptions::new()
-            .compression(None)
+        let mut mcap = packing
+            .of(WriteOptions::new(), description)
             .profile("ros2")
             .library(concat!("parallax ", env!("CARGO_PKG_VERSION")))
             .chunk_size(Some(CHUNK_BYTES))
@@ -353,7 +356,7 @@ impl RecordingWriter {
         self.mcap.flush().map_err(|source| RecordingError::Write { path: self.path.clone(), source })
     }
 
-    /// Bytes of the messages written so far: about the length of the file.
+    /// Bytes of the messages written so far: about the length of the file, before it is packed.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
