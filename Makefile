@@ -3,7 +3,7 @@
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: test format lint unit docs package python deny reference clean
+.PHONY: test format lint unit docs package python deny reference fuzz clean
 
 test: format lint unit python docs deny
 
@@ -51,6 +51,15 @@ deny: $(DENY)
 # docs/cli.md, from what `--help` prints.
 reference:
 	cargo run --quiet --features link,foxglove -- reference > out.cli.md && mv out.cli.md docs/cli.md
+
+# Garbage for the readers of other people's files: needs a nightly toolchain and `cargo install cargo-fuzz`.
+FUZZ_SECONDS := 60
+fuzz:
+	for reader in expression system csv recording graph; do \
+		mkdir -p fuzz/corpus/$$reader; \
+		cargo +nightly fuzz run $$reader fuzz/corpus/$$reader fuzz/seeds/$$reader -- \
+			-max_total_time=$(FUZZ_SECONDS) -timeout=20 -rss_limit_mb=4096 || exit 1; \
+	done
 
 clean:
 	cargo clean
