@@ -348,7 +348,9 @@ fn conclude(title: &str, options: &Options, found: Found, lost: Option<LostComma
     let named_one = (detected, detected && named);
     let mut causes = Models::new(setup, &null, &answers, &rows, named_one, lost.as_ref()).causes(&readings);
     if detected && named && causes.is_empty() && lost.is_none() {
-        answers.doubt(how_far.closed_by_effect.high);
+        // What may close something is given the benefit of the doubt, unless the best guess is that it closes nothing.
+        let closed = how_far.closed_by_effect;
+        answers.doubt(if closed.value > 0.0 { closed.high } else { closed.value });
     }
     let unexplained = Unexplained { probability: answers.unexplained, share };
     if let Some(lost) = lost {
