@@ -202,6 +202,8 @@ def test_a_supervisor_that_fails_is_told_with_its_traceback():
 
 INTERRUPTED = """
 import gc, signal, sys
+# Programs that a shell starts in the background ignore Ctrl-C, and hand that down: so may these tests.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 import parallax as px
 import robot
 

@@ -349,7 +349,7 @@ fn conclude(title: &str, options: &Options, found: Found, lost: Option<LostComma
     let mut causes = Models::new(setup, &null, &answers, &rows, named_one, lost.as_ref()).causes(&readings);
     if detected && named && causes.is_empty() && lost.is_none() {
         // What may close something is given the benefit of the doubt, unless the best guess is that it closes nothing.
-        let closed = how_far.closed_by_effect;
+        let closed = &how_far.closed_by_effect;
         answers.doubt(if closed.value > 0.0 { closed.high } else { closed.value });
     }
     let unexplained = Unexplained { probability: answers.unexplained, share };
