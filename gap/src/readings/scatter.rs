@@ -41,10 +41,6 @@ const NOTABLE: f64 = 0.2;
 /// that leaves nothing else: many small responses tell what no single one does.
 const CERTAIN: f64 = 20.0;
 
-/// Factor within which what scatter does over the horizon must be what the model leaves there, as mean squares, where it
-/// leaves more than noise.
-const ALIKE: f64 = 3.0;
-
 /// Log density of a held-out reading that scatter of commands may cost where their responses say that it is there: the
 /// density knows nothing of how long each lasts (nats).
 const LOST_DENSITY: f64 = 1e-3;
@@ -96,17 +92,15 @@ pub fn scatter(setup: &Setup, fit: &Fit) -> Vec<ReadingEffect> {
         // Which of the two it is, the commands' own sizes say.
         let times = late.log_evidence >= lost.gain - of_mean;
         let exact = fit.shooting_error <= INEXACT;
-        let mut jitter = Judged {
+        let jitter = Judged {
             name: "jitter",
             parameter: "spread",
             value: Value { value: late.spread, std: late.std, unit: "s".into() },
             scale: late.spread / delays.lateness(),
             evidence: -2.0 * late.log_evidence,
             likelier: times,
-            certain: false,
+            certain: exact && late.log_evidence > CERTAIN,
         };
-        jitter.certain =
-            late.log_evidence > CERTAIN && (exact || jitter.accounts_for_the_rest(setup, fit, i));
         let drops = Judged {
             name: "drops",
             parameter: "rate",
@@ -160,19 +154,6 @@ pub fn over_horizon(setup: &Setup, fit: &Fit, effect: &ReadingEffect) -> Option<
     let system = setup.equations.system();
     let input = system.inputs.iter().position(|i| effect.place == format!("input:{}", i.name))?;
     let size = effect.parameters.values().next()?.value;
-    by_chance(setup, fit, input, |held, random| match effect.name.as_str() {
-        "drops" => lossy(held, size, random),
-        _ => late(held, size, random),
-    })
-}
-
-/// What commands that are disturbed at random do to such predictions.
-fn by_chance(
-    setup: &Setup,
-    fit: &Fit,
-    input: usize,
-    disturb: impl Fn(&Held, &mut ChaCha8Rng) -> Held + Sync,
-) -> Option<f64> {
     let row = |setup: &Setup| {
         let simulator = library::simulator(setup, &fit.hypothesis, fit.residuals.clone());
         quantify::predict(setup, &simulator, fit.estimate(), &fit.innovation.noise)
@@ -184,7 +165,11 @@ fn by_chance(
             let mut random = ChaCha8Rng::seed_from_u64(run);
             let mut disturbed = setup.clone();
             let held = &mut disturbed.experiment.inputs[input];
-            *held = disturb(held, &mut random);
+            *held = if effect.name == "drops" {
+                lossy(held, size, &mut random)
+            } else {
+                late(held, size, &mut random)
+            };
             let row = row(&disturbed);
             if row.readings.len() != plain.readings.len() {
                 return None;
@@ -398,16 +383,6 @@ struct Judged {
 }
 
 impl Judged {
-    /// Whether commands that are late so would move the machine, over the horizon, by what the model leaves: then it is no
-    /// form that is off, which leaves as much whatever the commands do.
-    fn accounts_for_the_rest(&self, setup: &Setup, fit: &Fit, input: usize) -> bool {
-        let simulator = library::simulator(setup, &fit.hypothesis, fit.residuals.clone());
-        let left =
-            quantify::predict(setup, &simulator, fit.estimate(), &fit.innovation.noise).mean_square() - 1.0;
-        let moved = by_chance(setup, fit, input, |held, random| late(held, self.value.value, random));
-        moved.is_some_and(|moved| moved > left / ALIKE && moved < ALIKE * left)
-    }
-
     fn against(self, parts: Option<Parts>, place: &str) -> Option<ReadingEffect> {
         let Parts { train, test, exchanged } = parts?;
         let density = densities(&train, &test, self.scale);
