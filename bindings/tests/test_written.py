@@ -53,6 +53,8 @@ def solved(x):
         lambda x: jnp.where(x[0] > x[1], x[2], jnp.where((x[0] < 0) | (x[1] == 0.2), x[0], x[1])),
         lambda x: jnp.clip(x[0], -0.3, 0.3) + jnp.maximum(x[1], x[2]) + jnp.arctan2(x[1], x[2]),
         lambda x: jnp.mod(x[0] * 7.0, 2.0) + jax.lax.rem(x[1] * -5.0, 1.5) + jnp.round(x[2] * 3.3),
+        lambda x: (x[:2] * 10.0).astype(int) // 3 + (x[:2] * 10.0).astype(int) % 4,
+        lambda x: jnp.where(~((x[0] > 0) & (x[1] > 0)), x[2], x[0]),
         lambda x: jnp.linalg.norm(jnp.cross(x, jnp.array([1.0, 2.0, 3.0]))),
         lambda x: x[jnp.array([2, 0, 0])].at[1].add(x[1]).at[jnp.array([0, 0])].add(x[:2])[::-1].cumsum(),
         lambda x: jnp.einsum("i,ijk,k->j", x, jnp.arange(27.0).reshape(3, 3, 3), x),
@@ -79,6 +81,7 @@ def test_formulas_compute_what_the_function_does(function):
         (lambda x: jax.lax.while_loop(lambda c: c < x[1], lambda c: c + 1.0, x[0]), "ends by what it computes"),
         (lambda x: x[x[0].astype(int)], "at places that it computes from names"),
         (lambda x: jnp.sort(x)[0], "computes `sort`"),
+        (lambda x: x[0].astype(int) & 1, "computes `and`"),
         (lambda x: jax.scipy.special.erf(x[0]), "computes `erf`"),
     ],
 )

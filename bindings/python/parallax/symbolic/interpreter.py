@@ -89,7 +89,11 @@ def _apply(equation: Any, inputs: list[Block]) -> Sequence[Block]:
         return [_scatter_add(equation, inputs)]
     if name in _MOVES:
         return [_moved(equation, inputs)]
-    if name in _RULES:
+    kind = equation.outvars[0].aval.dtype.kind
+    if name == "div" and kind in "iu":
+        return [_each(lambda x, y: _truncated(Expression.of("/", x, y)))(params, *inputs)]
+    # A condition is 1 or 0, of which these are a product and the like; of the bits of a number they are not.
+    if name in _RULES and (kind == "b" or name not in ("and", "or", "not")):
         return [_RULES[name](params, *inputs)]
     raise UntraceableError(f"the function computes `{name}` of what is to be a name; no formula does that")
 
