@@ -45,7 +45,7 @@ class Joint:
     """Where forces may act that the simulator does not know."""
 
     position: str
-    """The state that is its position."""
+    """Its position: a state, or an expression of states."""
     velocity: str
     """The state that is its velocity."""
     extra: Mapping[str, str] = field(default_factory=dict)
@@ -57,7 +57,7 @@ def write_system(
     *,
     name: str,
     derivative: Callable[[Tree, Tree, Tree, Tree], Mapping[str, Any]],
-    state: Mapping[str, str | float | None],
+    state: Mapping[str, str | float | Parameter | None],
     output: Callable[[Tree, Tree, Tree], Mapping[str, Any]],
     outputs: Mapping[str, Reading],
     inputs: Mapping[str, str | None],
@@ -76,7 +76,8 @@ def write_system(
     sensors read, `drive(parameters, state, inputs)` the motors' force of joints (those that it leaves out have none),
     `load(parameters, state)` the force of gravity or of another load, as `derivative` holds it already.
 
-    `state` says where each state starts: a signal's name (its first sample), a number, or nothing. `inputs` names the
+    `state` says where each state starts: a signal's name (its first sample), a number, one that is fitted for each
+    recording between bounds (a `Parameter` with `calibrate`), or nothing. `inputs` names the
     recorded signal of each, or nothing where it is called the same. `effects` are `[[effect]]` tables as text;
     `comments` stand above everything.
 
@@ -121,7 +122,8 @@ def write_system(
     lines += [f"{part} = {json.dumps(text)}" for part, text in texts.parts.items()]
     lines += ["", "[state]"]
     for one, start in state.items():
-        lines.append(f"{one} = {_table(derivative=texts.texts[f'{one}.rate'], initial=start)}")
+        fitted = {"value": start.value, "calibrate": start.calibrate} if isinstance(start, Parameter) else start
+        lines.append(f"{one} = {_table(derivative=texts.texts[f'{one}.rate'], initial=fitted)}")
     lines += ["", "[outputs]"]
     for one, reading in outputs.items():
         about = {"signal": reading.signal, "unit": reading.unit or None, "noise": reading.noise, "wrap": reading.wrap}
@@ -160,5 +162,9 @@ def _named(what: str, made: Mapping[str, Any], wanted: Mapping[str, Any], whole:
 
 def _table(**entries: Any) -> str:
     """An inline table of what is given."""
-    texts = (f"{key} = {json.dumps(value)}" for key, value in entries.items() if value is not None)
+    texts = (
+        f"{key} = {_table(**value) if isinstance(value, dict) else json.dumps(value)}"
+        for key, value in entries.items()
+        if value is not None
+    )
     return "{ " + ", ".join(texts) + " }"

@@ -361,7 +361,7 @@ def _dot(params: Any, left: Block, right: Block) -> Block:
                 for x, y in zip(_entries(row), _entries(column), strict=True):
                     total = _sum(total, Expression.of("*", x, y))
                 sums.append(total)
-    return _block(sums).reshape(*batch, *rows, *columns)
+    return _block(sums).reshape((*batch, *rows, *columns))
 
 
 def _scatter_add(equation: Any, inputs: Sequence[Block]) -> Block:

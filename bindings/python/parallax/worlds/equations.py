@@ -18,6 +18,7 @@ import numpy as np
 from ..system import Parameter
 from ..types import Tree
 from ..written import Joint, Reading, write_system
+from .freedoms import DIRECTIONS, Freedoms, feels_speed, floats, rotation, turned
 from .mjcf import Machine
 from .ports import package
 
@@ -45,8 +46,8 @@ def write_mjcf_system(
     is known. Masses, dampings, stiffnesses, armatures and gears become parameters of the system, which may be refitted
     by the share `calibrate` of themselves.
 
-    Raises `ValueError` when the model has what is not written down (free and ball joints, equality constraints, fluids,
-    sensors of accelerations and forces), naming it.
+    Raises `ValueError` when the model has what is not written down (equality constraints, fluids, sensors of
+    accelerations and forces), naming it.
     """
     with jax.enable_x64(True):
         return _write(path, model, outputs, signals or {}, noise or {}, calibrate, name)
@@ -67,75 +68,112 @@ def _write(
     _refuse(mujoco, mj, outputs or {})
     joints = _names(mujoco, mj, "joint", mj.njnt)
     actuators = _names(mujoco, mj, "actuator", mj.nu)
-    if outputs is None:
-        outputs = {joint: f"position:{mj.joint(number).name}" for number, joint in enumerate(joints)}
-        unnamed = [joint for joint, text in outputs.items() if text == "position:"]
-        if unnamed:
-            raise ValueError(f"the model's joints {unnamed} have no name; name them, or say what is read")
-    views = Machine(model, {}, outputs, None).views
-    wide = [leaf for leaf, (_, _, count) in views.items() if count != 1]
-    if wide:
-        raise ValueError(f"outputs: {wide} are several numbers each; an output of a system is one")
-    unknown = [one for one in [*signals, *noise] if one not in actuators and one not in outputs]
+    freedoms = Freedoms(mujoco, mj, joints)
+    named = _named_views(mj, joints) if outputs is None else Machine(model, {}, outputs, None).views
+    views = {leaf: view for name, wide in named.items() for leaf, view in _numbers(name, wide).items()}
+    unknown = [one for one in [*signals, *noise] if one not in actuators and one not in named]
     if unknown:
-        raise ValueError(
-            f"there is no actuator or output `{unknown[0]}`; there are {', '.join([*actuators, *outputs])}"
-        )
+        raise ValueError(f"there is no actuator or output `{unknown[0]}`; there are {', '.join([*actuators, *named])}")
+    signals = {leaf: given for name, wide in named.items() for leaf, given in _signals(name, wide, signals)} | {
+        one: signals[one] for one in actuators if one in signals
+    }
+    noise = {leaf: noise[name] for name, wide in named.items() if name in noise for leaf in _numbers(name, wide)}
     left_out = _left_out(mujoco, mj)
     mj.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    floating = floats(mujoco, mj)
+    gravity = np.zeros(3) if mj.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY else mj.opt.gravity.copy()
+    if floating:
+        mj.opt.gravity[:] = 0.0  # Of what floats it moves every part alike.
     model_x = mjx.put_model(mj)
     data_x = mjx.put_data(mj, machine.data())
-    parameters, places = _parameters(mujoco, mj, joints, actuators, calibrate)
+    parameters, places = _parameters(mujoco, mj, joints, freedoms, actuators, calibrate)
+    gyros = {
+        ("sensordata", int(first) + axis)
+        for first, sort in zip(mj.sensor_adr, mj.sensor_type, strict=True)
+        for axis in range(3)
+        if mujoco.mjtSensor(int(sort)) == mujoco.mjtSensor.mjSENS_GYRO
+    }
     memory = [f"act_{number}" for number in range(mj.na)]
 
-    def placed(p: Tree, x: Tree, u: Tree) -> tuple[Any, Any]:
-        """The model with these parameters, and what moves at these states, without forces."""
+    def placed(p: Tree, x: Tree, u: Tree, own: bool = floating) -> tuple[Any, Any]:
+        """The model with these parameters, and what moves at these states, without forces; `own`: in the floating
+        body's own frame."""
         fields: dict[str, Any] = {}
         for one, (field, index) in places.items():
             values = fields.get(field, jnp.asarray(getattr(model_x, field)))
             fields[field] = values.at[index].set(p[one])
+        qpos, qvel = freedoms.qpos(x), freedoms.qvel(x)
+        if own:
+            moving = rotation(qpos[3:7]).T @ _row(qvel[:3]) if feels_speed(mj) else jnp.zeros(3)
+            qvel[:3] = list(moving)
+            qpos[:7] = [jnp.asarray(value) for value in (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)]
         data = data_x.replace(
-            qpos=_row([x[f"q_{joint}"] for joint in joints]),
-            qvel=_row([x[f"v_{joint}"] for joint in joints]),
+            qpos=_row(qpos),
+            qvel=_row(qvel),
             ctrl=_row([u[actuator] for actuator in actuators]),
             act=_row([x[one] for one in memory]),
         )
         moved = model_x.replace(**fields)
         return moved, mjx.forward(moved, data)
 
+    def out(x: Tree, values: Any) -> Any:
+        return turned(rotation(freedoms.qpos(x)[3:7]), values) if floating else values
+
     def drive(p: Tree, x: Tree, u: Tree) -> Tree:
-        force = placed(p, x, u)[1].qfrc_actuator
-        return {joint: force[number] for number, joint in enumerate(joints)}
+        force = out(x, placed(p, x, u)[1].qfrc_actuator)
+        return {one.name: force[number] for number, one in enumerate(freedoms.all)}
 
     def load(p: Tree, x: Tree) -> Tree:
-        still = {**x, **{f"v_{joint}": jnp.zeros(()) for joint in joints}}
-        bias = placed(p, still, {actuator: jnp.zeros(()) for actuator in actuators})[1].qfrc_bias
-        return {joint: -bias[number] for number, joint in enumerate(joints)}
+        still = {**x, **{one.velocity: jnp.zeros(()) for one in freedoms.all}}
+        moved, data = placed(p, still, {actuator: jnp.zeros(()) for actuator in actuators})
+        if floating:
+            falling = rotation(freedoms.qpos(x)[3:7]).T @ gravity
+            pull = out(x, mjx.full_m(moved, data)[:, :3] @ falling)
+        else:
+            pull = -data.qfrc_bias
+        return {one.name: pull[number] for number, one in enumerate(freedoms.all)}
 
     def derivative(p: Tree, x: Tree, u: Tree, forces: Tree) -> Tree:
         moved, data = placed(p, x, u)
-        applied = _row([forces[joint] for joint in joints])
+        applied = _row([forces[one.name] for one in freedoms.all])
+        if floating:
+            applied = turned(rotation(freedoms.qpos(x)[3:7]).T, applied)
         data = data.replace(qfrc_actuator=jnp.zeros_like(applied), qfrc_applied=applied)
-        acceleration = mjx.fwd_acceleration(moved, data).qacc_smooth
-        rates = {f"q_{joint}": x[f"v_{joint}"] for joint in joints}
-        rates |= {f"v_{joint}": acceleration[number] for number, joint in enumerate(joints)}
+        acceleration = out(x, mjx.fwd_acceleration(moved, data).qacc_smooth)
+        if floating:
+            acceleration = acceleration.at[:3].add(gravity)
+        rates = freedoms.rates(x) | {one.velocity: acceleration[number] for number, one in enumerate(freedoms.all)}
         return rates | {one: data.act_dot[number] for number, one in enumerate(memory)}
 
     def output(p: Tree, x: Tree, u: Tree) -> Tree:
-        data = placed(p, x, u)[1]
-        return {leaf: getattr(data, field)[first] for leaf, (field, first, _) in views.items()}
+        data = placed(p, x, u, own=False)[1].replace(qpos=_row(freedoms.qpos(x)))  # Of the length that it has.
+        # What turns with the body is read in its own frame, without a way to the world's and back.
+        inner = placed(p, x, u)[1]
+        return {
+            leaf: getattr(inner if (field, first) in gyros else data, field)[first]
+            for leaf, (field, first, _) in views.items()
+        }
 
-    starts: dict[str, str | float | None] = {}
-    for number, joint in enumerate(joints):
-        read = [leaf for leaf, view in views.items() if view == ("qpos", int(mj.jnt_qposadr[number]), 1)]
-        starts[f"q_{joint}"] = signals.get(read[0], read[0]) if read else None
-    starts |= {f"v_{joint}": None for joint in joints}
+    starts: dict[str, str | float | Parameter | None] = {}
+    for place, one in enumerate(freedoms.positions):
+        read = [leaf for leaf, view in views.items() if view == ("qpos", place, 1)]
+        starts[one] = signals.get(read[0], read[0]) if read else None
+        if not read and freedoms.is_quaternion(place):
+            # Nothing is turned by a quaternion of zeros.
+            starts[one] = Parameter(freedoms.start[place], "", (-1.0, 1.0))
+    starts |= {one.velocity: None for one in freedoms.all}
     starts |= dict.fromkeys(memory, 0.0)
     title = name or ("model" if "<mujoco" in model else Path(model).stem)
     comments = [
         f"What MuJoCo's model `{title}` says of the machine, by way of MJX: edit the signals' names, and which",
         "parameters may be refitted (`calibrate = [low, high]`).",
     ]
+    if freedoms.quaternions:
+        comments += [
+            "A rotation is the quaternion from the body's frame to the world's, scalar first. Its rates, half of it",
+            "times the angular velocity in the body's frame, keep its length; forces take it as of unit length. Places",
+            "that end with x, y and z are forces along the world's axes, with rx, ry and rz torques about the body's.",
+        ]
     comments += [f"Left out: {what}." for what in left_out]
     write_system(
         path,
@@ -144,17 +182,17 @@ def _write(
         state=starts,
         output=output,
         outputs={
-            leaf: Reading(signals.get(leaf), _unit(mujoco, mj, view), noise.get(leaf)) for leaf, view in views.items()
+            leaf: Reading(signals.get(leaf), _unit(freedoms, view), noise.get(leaf)) for leaf, view in views.items()
         },
         inputs={actuator: signals.get(actuator) for actuator in actuators},
         parameters=parameters,
-        joints={joint: Joint(f"q_{joint}", f"v_{joint}") for joint in joints},
+        joints={one.name: Joint(one.position, one.velocity) for one in freedoms.all},
         drive=drive if mj.nu else None,
         load=load,
         effects=[
-            f'[[effect]]\nname = "coulomb"\nplace = "joint:{joint}"\n'
+            f'[[effect]]\nname = "coulomb"\nplace = "joint:{one.name}"\n'
             f"parameters = {{ force = {mj.dof_frictionloss[number]} }}\nsmoothing = {SMOOTHING}"
-            for number, joint in enumerate(joints)
+            for number, one in enumerate(freedoms.all)
             if mj.dof_frictionloss[number] > 0
         ],
         comments=comments,
@@ -166,17 +204,37 @@ def _row(values: Sequence[Any]) -> Any:
     return jnp.stack(values) if values else jnp.zeros(0)
 
 
+def _numbers(name: str, view: tuple[str, int, int]) -> dict[str, tuple[str, int, int]]:
+    """An output of several numbers as one of each, called as the leaves of a message are."""
+    field, first, count = view
+    return {name: view} if count == 1 else {f"{name}_{at}": (field, first + at, 1) for at in range(count)}
+
+
+def _signals(name: str, view: tuple[str, int, int], signals: Mapping[str, str]) -> list[tuple[str, str]]:
+    """The signal of each number of an output."""
+    given = signals.get(name)
+    return [] if given is None else list(zip(_numbers(name, view), _numbers(given, view), strict=True))
+
+
+def _named_views(mj: Any, joints: Sequence[str]) -> dict[str, tuple[str, int, int]]:
+    """The positions of all joints, by the joints' names."""
+    unnamed = [
+        joint
+        for number, joint in enumerate(joints)
+        if not mj.joint(number).name and not mj.body(mj.jnt_bodyid[number]).name
+    ]
+    if unnamed:
+        raise ValueError(f"the model's joints {unnamed} have no name; name them, or say what is read")
+    ends = [*mj.jnt_qposadr[1:], mj.nq]
+    first = [int(place) for place in mj.jnt_qposadr]
+    return {joint: ("qpos", begin, int(end) - begin) for joint, begin, end in zip(joints, first, ends, strict=True)}
+
+
 def _refuse(mujoco: Any, mj: Any, outputs: Mapping[str, str]) -> None:
     """Names what no system of equations of this kind holds."""
     late_stage = int(mujoco.mjtStage.mjSTAGE_ACC)
     read = {text.partition(":")[2] for text in outputs.values() if text.startswith("sensor:")}
-    kinds = {int(mujoco.mjtJoint.mjJNT_FREE): "free", int(mujoco.mjtJoint.mjJNT_BALL): "ball"}
-    found = [
-        f"the {kinds[int(kind)]} joint `{mj.joint(number).name}`"
-        for number, kind in enumerate(mj.jnt_type)
-        if int(kind) in kinds
-    ]
-    found += ["equality constraints"] if mj.neq else []
+    found = ["equality constraints"] if mj.neq else []
     late = [
         mj.sensor(number).name
         for number in range(mj.nsensor)
@@ -207,7 +265,10 @@ def _names(mujoco: Any, mj: Any, sort: str, count: int) -> list[str]:
     """The names of a model's parts as a `system.toml` allows them."""
     names: list[str] = []
     for number in range(count):
-        given = getattr(mj, sort)(number).name or f"{sort}{number}"
+        given = getattr(mj, sort)(number).name
+        if not given and sort == "joint":
+            given = mj.body(mj.jnt_bodyid[number]).name  # As free joints are mostly written: without a name.
+        given = given or f"{sort}{number}"
         text = re.sub(r"\W", "_", given, flags=re.ASCII)
         names.append(text if text[0].isalpha() or text[0] == "_" else f"{sort}_{text}")
     double = sorted({one for one in names if names.count(one) > 1})
@@ -219,27 +280,32 @@ def _names(mujoco: Any, mj: Any, sort: str, count: int) -> list[str]:
 
 
 def _parameters(
-    mujoco: Any, mj: Any, joints: Sequence[str], actuators: Sequence[str], calibrate: float
+    mujoco: Any, mj: Any, joints: Sequence[str], freedoms: Freedoms, actuators: Sequence[str], calibrate: float
 ) -> tuple[dict[str, Parameter], dict[str, Any]]:
     """The numbers of the model that the system names, and where they stand in it."""
-    turns = [kind == mujoco.mjtJoint.mjJNT_HINGE for kind in mj.jnt_type]
     found: dict[str, tuple[float, str, str, Any]] = {}
     for body in range(1, mj.nbody):
         label = re.sub(r"\W", "_", mj.body(body).name or f"{body}", flags=re.ASCII)
         if mj.body_mass[body] > 0 and mj.body_weldid[body] != 0:
             found[f"mass_{label}"] = (mj.body_mass[body], "kg", "body_mass", body)
     for number, joint in enumerate(joints):
-        unit = "N m" if turns[number] else "N"
-        per = "rad" if turns[number] else "m"
-        inertia = "kg m^2" if turns[number] else "kg"
-        if mj.dof_damping[number] != 0:
-            found[f"damping_{joint}"] = (mj.dof_damping[number], f"{unit} s/{per}", "dof_damping", number)
-        if mj.dof_armature[number] != 0:
-            found[f"armature_{joint}"] = (mj.dof_armature[number], inertia, "dof_armature", number)
+        own = freedoms.of_joint[number]
+        turns = {freedoms.all[at].turns for at in own}
+        unit, per, inertia = ("N m", "rad", "kg m^2") if turns == {True} else ("N", "m", "kg")
+        # One number of a free joint is of forces and of torques: its label is that of SI.
+        units = [f"{unit} s/{per}", inertia, f"{unit}/{per}"] if len(turns) == 1 else ["SI"] * 3
+        where = own.start if len(own) == 1 else np.array(own)
+        if mj.dof_damping[own.start] != 0:
+            found[f"damping_{joint}"] = (mj.dof_damping[own.start], units[0], "dof_damping", where)
+        if mj.dof_armature[own.start] != 0:
+            found[f"armature_{joint}"] = (mj.dof_armature[own.start], units[1], "dof_armature", where)
         if mj.jnt_stiffness[number] != 0:
-            found[f"stiffness_{joint}"] = (mj.jnt_stiffness[number], f"{unit}/{per}", "jnt_stiffness", number)
+            found[f"stiffness_{joint}"] = (mj.jnt_stiffness[number], units[2], "jnt_stiffness", number)
     for number, actuator in enumerate(actuators):
-        found[f"gear_{actuator}"] = (mj.actuator_gear[number, 0], "", "actuator_gear", (number, 0))
+        gears = np.flatnonzero(mj.actuator_gear[number])
+        for at in gears:
+            label = f"gear_{actuator}" if len(gears) == 1 else f"gear_{actuator}_{DIRECTIONS[at]}"
+            found[label] = (mj.actuator_gear[number, at], "", "actuator_gear", (number, at))
     if not 0.0 <= calibrate < 1.0:
         raise ValueError(f"calibrate: {calibrate} is no share from 0 to 1")
 
@@ -251,10 +317,11 @@ def _parameters(
     return parameters, {one: (field, index) for one, (_, _, field, index) in found.items()}
 
 
-def _unit(mujoco: Any, mj: Any, view: tuple[str, int, int]) -> str:
+def _unit(freedoms: Freedoms, view: tuple[str, int, int]) -> str:
     field, first, _ = view
-    if field == "sensordata":
+    if field == "sensordata" or (field == "qpos" and freedoms.is_quaternion(first)):
         return ""
-    numbers = mj.jnt_qposadr if field == "qpos" else mj.jnt_dofadr
-    turns = mj.jnt_type[int(np.flatnonzero(numbers == first)[0])] == mujoco.mjtJoint.mjJNT_HINGE
-    return ("rad" if turns else "m") + ("" if field == "qpos" else "/s")
+    if field == "qvel":
+        return "rad/s" if freedoms.all[first].turns else "m/s"
+    of = next(one for one in freedoms.all if one.position == freedoms.positions[first])
+    return "rad" if of.turns else "m"

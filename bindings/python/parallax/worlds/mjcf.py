@@ -72,9 +72,14 @@ class Machine:
         raise ValueError(f"outputs: `{leaf} = {text}`: it must be position:JOINT, velocity:JOINT or sensor:SENSOR")
 
     def _id(self, sort: str, name: str) -> int:
-        """The number of a part of the model."""
+        """The number of a part of the model. A joint without a name, as free ones mostly are, has its body's."""
         about = getattr(self.mujoco.mjtObj, f"mjOBJ_{sort.upper()}")
         number = self.mujoco.mj_name2id(self.model, about, name)
+        if number < 0 and sort == "joint":
+            body = self.mujoco.mj_name2id(self.model, self.mujoco.mjtObj.mjOBJ_BODY, name)
+            own = int(self.model.body_jntadr[body]) if body >= 0 and self.model.body_jntnum[body] == 1 else -1
+            if own >= 0 and not self.model.joint(own).name:
+                return own
         if number < 0:
             count = {"actuator": self.model.nu, "joint": self.model.njnt, "sensor": self.model.nsensor}[sort]
             known = [self.mujoco.mj_id2name(self.model, about, index) or f"(number {index})" for index in range(count)]
