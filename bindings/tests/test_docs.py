@@ -82,6 +82,25 @@ def test_nodes_on_pages_are_nodes(page):
         assert {"name", "kind", "rate", "parameters"} == set(node)
 
 
+def test_the_example_of_training_runs(tmp_path):
+    command = [sys.executable, ROOT / "examples/python/swing_up.py", "--out", tmp_path / "out", "--steps", "20000"]
+    environment = os.environ | {"PARALLAX_CACHE": str(tmp_path / "cache")}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, env=environment)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.search("upright", done.stdout), done.stdout
+    assert (tmp_path / "out" / "policy.safetensors").exists()
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "examples").rglob("*.toml")), ids=lambda path: path.stem)
+def test_systems_among_the_examples_are_systems(path):
+    import parallax as px
+
+    content = tomllib.loads(path.read_text())
+    if {"format", "outputs", "inputs"} <= set(content) and "task" not in content:
+        system = px.System(path)
+        assert system.outputs == list(content["outputs"])
+
+
 def test_a_new_node_in_python_runs(tmp_path):
     """`parallax new node --python`, as a stranger would: both clocks, and it does what it is for."""
     environment = {name: value for name, value in os.environ.items() if name != "VIRTUAL_ENV"}
