@@ -14,9 +14,15 @@ fn a_terminal_shows_the_stages_while_they_go_on() {
     let (done, shown) = on_a_terminal(folder.path(), &FEW, "");
     assert!(done, "{shown}");
     // What goes on in a stage, its end, and how to go on.
-    for part in
-        ["of 4 s", " Hz · camera ", "nominal model", "\u{2713}", "Hidden was", "report.html", "Next, to see"]
-    {
+    for part in [
+        "world 200, camera ",
+        " Hz",
+        "nominal model",
+        "\u{2713}",
+        " was hidden",
+        "report.html",
+        "Next, to see",
+    ] {
         assert!(shown.contains(part), "no `{part}` in: {shown}");
     }
     assert!(folder.path().join("out/demo/report.html").exists());

@@ -325,10 +325,21 @@ fn nearby(path: &Path) -> String {
     found.map_or_else(String::new, |place| format!(", such as {}", place.display()))
 }
 
+/// Columns of the short answer, where the terminal has as many.
+const COLUMNS: usize = 100;
+
 /// The short answer.
 pub(crate) fn print(report: &Report) {
-    output::line(text::summary(report).trim_end());
+    let summary = text::summary(report);
+    let columns = output::columns(COLUMNS);
+    let fit = |text: &str| if columns < COLUMNS { output::folded(text, columns) } else { text.to_owned() };
+    // On a narrow terminal the sentence is broken anew, and the rest where it does not fit.
+    let text = match summary.split_once("\n\n") {
+        Some((_, rest)) if columns < COLUMNS => format!("{}\n\n{rest}", report.summary),
+        _ => summary,
+    };
+    output::line(fit(text.trim_end()));
     for explanation in &report.explanations {
-        output::line(format!("\n{}", explanation.to_string().trim_end()));
+        output::line(fit(&format!("\n{}", explanation.to_string().trim_end())));
     }
 }

@@ -1,6 +1,6 @@
 //! What commands print: tables for people, JSON for scripts, progress for whoever waits.
 
-use std::io::Write;
+use std::io::{IsTerminal, Write};
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -44,6 +44,47 @@ pub(crate) fn table(header: &[&str], rows: &[Vec<String>]) {
     }
 }
 
+/// How many columns the terminal has, `most` at most; `most` where standard output is none.
+pub(crate) fn columns(most: usize) -> usize {
+    let size = std::io::stdout().is_terminal().then(crossterm::terminal::size);
+    size.and_then(Result::ok).map_or(most, |(columns, _)| usize::from(columns).clamp(40, most.max(40)))
+}
+
+/// Text whose lines are broken at spaces where they are longer than `columns`. What follows stands below the text that a
+/// label or spaces begin, a little further in.
+pub(crate) fn folded(text: &str, columns: usize) -> String {
+    let mut lines = Vec::new();
+    for line in text.lines() {
+        let (mut rest, mut begin) = (line, String::new());
+        while begin.chars().count() + rest.chars().count() > columns {
+            let room = columns.saturating_sub(begin.chars().count());
+            // A word that fits nowhere stays whole.
+            let text = rest.len() - rest.trim_start().len();
+            let within = rest.char_indices().take(room + 1).filter(|(at, c)| *c == ' ' && *at > text);
+            let Some((at, _)) =
+                within.last().or_else(|| rest.char_indices().find(|(at, c)| *c == ' ' && *at > text))
+            else {
+                break;
+            };
+            lines.push(format!("{begin}{}", rest[..at].trim_end()));
+            rest = rest[at..].trim_start();
+            begin = " ".repeat(hang(line).min(columns / 3));
+        }
+        lines.push(format!("{begin}{rest}"));
+    }
+    lines.join("\n")
+}
+
+/// Where what follows a line begins: below its text, two columns further in; at once where it is plain text.
+fn hang(line: &str) -> usize {
+    let spaces = |text: &str| text.chars().take_while(|c| *c == ' ').count();
+    match (spaces(line), line.find("  ")) {
+        (0, Some(end)) if end < 16 => end + spaces(&line[end..]) + 2,
+        (0, _) => 0,
+        (indent, _) => indent + 2,
+    }
+}
+
 /// A number with five significant digits.
 pub(crate) fn number(value: f64) -> String {
     let digits = 4.0 - value.abs().log10().floor();
@@ -75,4 +116,20 @@ pub(crate) fn progress(what: &str, total: u64) -> ProgressBar {
     bar.set_message(what.to_owned());
     bar.enable_steady_tick(Duration::from_millis(200));
     bar
+}
+
+#[cfg(test)]
+mod tests {
+    use super::folded;
+
+    #[test]
+    fn long_lines_go_on_below_their_text() {
+        let text = "The gap lies at joint:shaft and nowhere else at all.\n\ngap      detected, and by far too long\n   \
+                    which   one of these is quite long\nshort";
+        let expected = "The gap lies at\njoint:shaft and\nnowhere else at\nall.\n\ngap      detected,\n      and by \
+                        far\n      too long\n   which   one of\n     these is\n     quite long\nshort";
+        assert_eq!(folded(text, 18), expected);
+        assert_eq!(folded("unbreakable-as-it-is and more", 10), "unbreakable-as-it-is\nand more");
+        assert_eq!(folded(text, 100), text);
+    }
 }

@@ -25,3 +25,23 @@ fn colours() -> String {
     let dark = list(|(name, _, dark)| format!("--{name}:{dark};"));
     format!(":root{{{light}}}\n@media screen and (prefers-color-scheme:dark){{:root{{{dark}}}}}\n")
 }
+
+/// So many names are listed where there are more than twice as many.
+const NAMED: usize = 12;
+
+/// Names that follow `lead`, separated by `between`. A machine with many sensors has hundreds: of those a few are shown,
+/// and the others when somebody asks.
+pub(crate) fn listed(lead: &str, names: &[String], between: &str) -> String {
+    let shown = if names.len() > 2 * NAMED { NAMED } else { names.len() };
+    let (first, rest) = names.split_at(shown);
+    let first = first.join(between);
+    if rest.is_empty() {
+        return format!("<p class=\"note\">{lead}: {first}.</p>\n");
+    }
+    format!(
+        "<p class=\"note\">{lead}: {first}{between}and {} more.</p>\n<details class=\"note\"><summary>Show them</summary>\
+         <p class=\"note\">{}.</p></details>\n",
+        rest.len(),
+        rest.join(between)
+    )
+}

@@ -90,10 +90,11 @@ fn verdict(report: &Report, answers: &[Answer<'_>]) -> String {
         None => "of what calibration leaves".to_owned(),
     };
     let not_tried = report.interrupted.as_ref().map_or_else(String::new, |interrupted| {
+        let names: Vec<String> = interrupted.not_tried.iter().map(|name| escape(name)).collect();
         format!(
-            "<p class=\"interrupted\"><b>This diagnosis was interrupted.</b> Probabilities are among what was tried. Not \
-             tried: {}.</p>\n",
-            escape(&interrupted.not_tried.join(", "))
+            "<div class=\"interrupted\"><p><b>This diagnosis was interrupted.</b> Probabilities are among what was \
+             tried.</p>\n{}</div>\n",
+            page::listed("Not tried", &names, ", ")
         )
     });
     format!(
@@ -190,8 +191,7 @@ fn which(answers: &[Answer<'_>]) -> String {
     let mut content = format!("<ol class=\"answers\">\n{rows}</ol>\n");
     if shown < answers.len() {
         let names: Vec<String> = answers[shown..].iter().map(|answer| escape(&answer.name())).collect();
-        content
-            .push_str(&format!("<p class=\"note\">Also tried, less probable: {}.</p>\n", names.join(", ")));
+        content.push_str(&page::listed("Also tried, less probable", &names, ", "));
     }
     section("Which cause", "Probabilities of classes that this data can tell apart.", &content)
 }
@@ -218,7 +218,7 @@ fn where_(report: &Report) -> String {
         format!("<ol class=\"answers\">\n{}</ol>\n", places.iter().take(ROWS).map(row).collect::<String>());
     if places.len() > ROWS {
         let rest: Vec<String> = places[ROWS..].iter().map(|place| escape(&place.place)).collect();
-        content.push_str(&format!("<p class=\"note\">Also considered: {}.</p>\n", rest.join(", ")));
+        content.push_str(&page::listed("Also considered", &rest, ", "));
     }
     section("Where", "Share: how much of the gap the best effect there explains.", &content)
 }
@@ -278,8 +278,12 @@ fn recorded_section(report: &Report) -> String {
     if lines.is_empty() {
         return String::new();
     }
-    let items: String =
-        lines.iter().map(|(label, text)| format!("<dt>{label}</dt><dd>{}</dd>\n", escape(text))).collect();
+    let (mut items, mut above) = (String::new(), "");
+    for (label, text) in &lines {
+        let heading = if *label == above { String::new() } else { format!("<dt>{label}</dt>") };
+        items.push_str(&format!("{heading}<dd>{}</dd>\n", escape(text)));
+        above = label;
+    }
     let note = "Timing from the stamps, and every node replayed alone on what it received: before any fit.";
     section("What the recording proves", note, &format!("<dl class=\"list\">\n{items}</dl>\n"))
 }

@@ -5,6 +5,7 @@ use super::draw::{self, Anchor, Pen, escape};
 use super::format;
 use crate::maps::{Bin, Map};
 use crate::plot::axis::Scale;
+use crate::plot::page;
 
 /// At most so many are drawn.
 const SHOWN: usize = 6;
@@ -31,11 +32,7 @@ pub(super) fn content(report: &Report) -> Option<String> {
     }
     let list = |lead: &str, maps: &mut dyn Iterator<Item = &Map>| {
         let names: Vec<String> = maps.map(|map| escape(&title(map))).collect();
-        if names.is_empty() {
-            String::new()
-        } else {
-            format!("<p class=\"note\">{lead}: {}.</p>\n", names.join("; "))
-        }
+        if names.is_empty() { String::new() } else { page::listed(lead, &names, "; ") }
     };
     content.push_str(&list("Structure, too", &mut structured.iter().skip(SHOWN).copied()));
     content.push_str(&list(

@@ -177,6 +177,18 @@ fn an_interrupted_diagnosis_says_so_first_and_what_was_not_tried() {
 }
 
 #[test]
+fn of_hundreds_of_names_a_few_are_shown() {
+    let mut report = cases::interrupted();
+    let names: Vec<String> = (0..200).map(|number| format!("bias@output:sensor_{number}")).collect();
+    report.interrupted.as_mut().unwrap().not_tried = names;
+    let page = html::page(&report, &[]);
+    let text = all_text(&parse(&page));
+    assert!(text.contains("bias@output:sensor_11, and 188 more."), "{text}");
+    let (before, hidden) = page.split_once("<details").unwrap();
+    assert!(!before.contains("sensor_12") && hidden.contains("sensor_199"));
+}
+
+#[test]
 fn names_cannot_become_markup() {
     let mut report = cases::one_effect();
     let wild = "<script>alert(\"1\")</script> & 'x'";

@@ -72,10 +72,12 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     };
     let report = launch::run(&spec, &crate::cli::python::registry(), options).map_err(run::sort)?;
     let outcome = run::ended(&report)?;
+    let steps: u64 = report.nodes.iter().map(|node| node.steps).sum();
     if outcome != Outcome::Done {
+        let after = to_seconds(report.duration);
+        screen.stopped(RUN, &format!("stopped after {after:.1} s; {steps} steps are in {}", path.display()));
         return Ok(outcome);
     }
-    let steps: u64 = report.nodes.iter().map(|node| node.steps).sum();
     screen.done(RUN, &format!("{steps} steps, recorded to {}", path.display()));
 
     screen.begin(REPLAY, "Running every node again on the messages that it consumed.");
@@ -112,14 +114,17 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     let truth_name = truth.as_ref().map(|truth| format!("{}@{}", truth.effect, truth.place));
     let right = is_right(&found, truth_name.as_deref());
     let truth = truth.map_or_else(|| "nothing".to_owned(), |truth| truth.to_string());
+    let more = found.which.first().filter(|_| found.gap.detected).map_or(0, |leader| leader.effects.len());
     screen.done(
         COMPARE,
-        &format!("Hidden was {truth}: the diagnosis is {}.", if right { "right" } else { "wrong" }),
+        &format!(
+            "{}: {truth} was hidden{}.",
+            if right { "Right" } else { "Wrong" },
+            if right && more > usize::from(truth_name.is_some()) { "; more is named" } else { "" }
+        ),
     );
-    if !arguments.json {
-        output::line("");
-        diagnose::print(&found);
-    }
+    // The whole answer is in the report, and what the second command below prints: this stays one screen.
+    say(format!("\n{}", output::folded(&found.summary, output::columns(100))));
     say(format!(
         "\nThe world, run again with what it hid, gives {}.",
         if world_exact { "the same bits" } else { "other readings than it gave" }
@@ -145,7 +150,7 @@ fn next(out: &Path, recording: &Path) -> String {
     let program = std::env::args().next().unwrap_or_else(|| "parallax".into());
     let (out, recording) = (out.display(), recording.display());
     format!(
-        "The report is {out}/report.html\n\nNext, to see what was recorded, why another cause lost, and a machine of your own:\n  \
+        "The report is {out}/report.html\n\nNext, to see what was recorded, why a cause lost, and a machine of your own:\n  \
          {program} info {recording}\n  {program} diagnose {recording} --explain delay --out {out}\n  \
          {program} import YOUR_LOG.csv"
     )

@@ -1,4 +1,6 @@
 //! What the demo shows while it goes on: on a terminal one screen of stages that fill, elsewhere a line for each.
+//!
+//! Lines are cut to the terminal and not padded: one that was as wide as the terminal breaks when that is made narrower.
 
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
@@ -11,6 +13,9 @@ use crate::cli::output;
 
 /// The stages, in their order.
 const STAGES: [&str; 4] = ["Run", "Replay", "Diagnose", "Compare"];
+
+/// Columns of a stage's bar and what stands around it.
+const BAR: usize = 19;
 
 /// Where the demo shows what it does.
 pub(super) enum Screen {
@@ -44,7 +49,7 @@ impl Screen {
             bar
         };
         let stages = STAGES.map(|name| {
-            let stage = Stage { head: line("  {prefix} {wide_msg}"), now: line("    {wide_msg:.dim}") };
+            let stage = Stage { head: line("  {prefix} {msg}"), now: line("    {msg:.dim}") };
             stage.head.set_prefix("·");
             stage.head.set_message(name.to_owned());
             stage.now.set_message("");
@@ -58,8 +63,8 @@ impl Screen {
         match self {
             Self::Drawn(stages) => {
                 let Stage { head, .. } = &stages[stage];
-                head.set_style(style("  {spinner} {wide_msg}"));
-                head.set_message(format!("{:<9} {what}", STAGES[stage]));
+                head.set_style(style("  {spinner} {msg}"));
+                head.set_message(headed(stage, what));
                 head.enable_steady_tick(Duration::from_millis(120));
             }
             Self::Plain => output::line(format!("{}. {what}", stage + 1)),
@@ -73,9 +78,28 @@ impl Screen {
             Self::Drawn(stages) => {
                 let Stage { head, now } = &stages[stage];
                 now.finish_and_clear();
-                head.set_style(style("  {prefix:.green} {wide_msg}"));
+                head.set_style(style("  {prefix:.green} {msg}"));
                 head.set_prefix("✓");
-                head.finish_with_message(format!("{:<9} {what}", STAGES[stage]));
+                head.finish_with_message(headed(stage, what));
+            }
+            Self::Plain => output::line(format!("   {what}")),
+            Self::Silent => {}
+        }
+    }
+
+    /// Somebody stopped the demo in this stage: the next ones are not going to be.
+    pub(super) fn stopped(&self, stage: usize, what: &str) {
+        match self {
+            Self::Drawn(stages) => {
+                for Stage { head, now } in stages.iter().skip(stage + 1) {
+                    now.finish_and_clear();
+                    head.finish_and_clear();
+                }
+                let Stage { head, now } = &stages[stage];
+                now.finish_and_clear();
+                head.set_style(style("  {prefix} {msg}"));
+                head.set_prefix("-");
+                head.finish_with_message(headed(stage, what));
             }
             Self::Plain => output::line(format!("   {what}")),
             Self::Silent => {}
@@ -87,7 +111,7 @@ impl Screen {
         match self {
             Self::Drawn(stages) => {
                 let now = &stages[stage].now;
-                now.set_style(style("    [{bar:12}] {wide_msg:.dim}").progress_chars("=> "));
+                now.set_style(style("    [{bar:12}] {msg:.dim}").progress_chars("=> "));
                 now.set_length(total);
                 now.clone()
             }
@@ -108,6 +132,20 @@ impl Screen {
             true
         })
     }
+}
+
+/// A stage's name and what is said of it, as far as the terminal is wide.
+fn headed(stage: usize, what: &str) -> String {
+    format!("{:<9} {}", STAGES[stage], clipped(what, 15))
+}
+
+/// Text as far as the terminal is wide, from this column on.
+fn clipped(text: &str, column: usize) -> String {
+    let room = output::columns(usize::MAX).saturating_sub(column);
+    if text.chars().count() <= room {
+        return text.into();
+    }
+    text.chars().take(room.saturating_sub(1)).chain(['…']).collect()
 }
 
 fn style(template: &str) -> ProgressStyle {
@@ -140,18 +178,17 @@ impl Live {
     }
 }
 
-/// A look at the run on one line.
+/// A look at the run on one line; on a narrow terminal of the rates alone, since the bar shows the time.
 fn in_words(snapshot: &Snapshot, duration: Nanos) -> String {
     let nodes: Vec<String> = snapshot
         .nodes
         .iter()
-        .map(|node| format!("{} {}", node.node, node.rate.map_or("-".into(), |rate| format!("{rate:.0} Hz"))))
+        .map(|node| format!("{} {}", node.node, node.rate.map_or("-".into(), |rate| format!("{rate:.0}"))))
         .collect();
     let steps: u64 = snapshot.nodes.iter().map(|node| node.steps).sum();
-    format!(
-        "{:.0} of {:.0} s · {steps} steps · {}",
-        to_seconds(snapshot.elapsed.max(0)),
-        to_seconds(duration),
-        nodes.join(" · ")
-    )
+    let rates = format!("{} Hz", nodes.join(", "));
+    let (elapsed, whole) = (to_seconds(snapshot.elapsed.max(0)), to_seconds(duration));
+    let all = format!("{elapsed:.0} of {whole:.0} s · {steps} steps · {rates}");
+    let fits = BAR + all.chars().count() < output::columns(usize::MAX);
+    clipped(if fits { &all } else { &rates }, BAR + 1)
 }
