@@ -11,6 +11,7 @@ from pathlib import Path
 
 from ..cache import use_compilation_cache
 from ..commands import CommandError
+from ..xla import fuse_nothing_on_cpus
 from .pendulum import DEFAULTS as PENDULUM
 from .pendulum import pendulum
 from .quadrotor import DEFAULTS as QUADROTOR
@@ -41,11 +42,15 @@ def main(arguments: list[str] | None = None) -> int:
         own.add_argument(
             "--parallax", default=None, help="the command line; without it PARALLAX_BIN, or that on the path"
         )
+        own.add_argument(
+            "--resume", action="store_true", help="go on in the folder: nothing that is there is done again"
+        )
         own.add_argument("--json", action="store_true", help="print task.json instead of the short answer")
     given = parser.parse_args(arguments)
+    fuse_nothing_on_cpus()
     use_compilation_cache()
     _, task, defaults = TASKS[given.task]
-    names = ("out", "seed", "record", "runs", "run", "steps", "real_time", "parallax")
+    names = ("out", "seed", "record", "runs", "run", "steps", "real_time", "resume", "parallax")
     say: Callable[[str], None] = (lambda text: print(text, file=sys.stderr)) if given.json else print
     options = replace(
         defaults, variants=tuple(given.variants), say=say, **{name: getattr(given, name) for name in names}

@@ -19,7 +19,7 @@ __all__ = ["figure", "table", "write_page"]
 STYLE = """figure.drawn{background:#fff;padding:6px;break-inside:avoid}
 figure.drawn svg{width:100%;height:auto;display:block}
 .inner h2{font-size:14px}.inner>section{border:0;margin-top:14px;padding-top:0}.scroll th,.scroll td{text-align:left}
-@media (max-width:760px){.scroll th,.scroll td{white-space:normal}}"""
+.scroll th,.scroll td{white-space:normal}"""
 """What this page has beside the style of all pages."""
 SVG = re.compile(r"<svg\b.*?</svg>", re.DOTALL)
 
@@ -120,7 +120,7 @@ def _missing(work: Work) -> str:
 
 def _nodes(work: Work) -> str:
     rows = [
-        [name, f"{1e3 * told['mean']:.2f} ± {1e3 * told['std']:.2f}", f"{1e3 * told['late']:.2f}", f"{told['rate']:g}"]
+        [name, f"{1e3 * told['mean']:.3f} ± {1e3 * told['std']:.3f}", f"{1e3 * told['late']:.2f}", f"{told['rate']:g}"]
         for name, told in work.result.nodes.items()
     ]
     return table(["node", "delay (ms)", "late (ms)", "rate (Hz)"], rows)

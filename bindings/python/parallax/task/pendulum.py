@@ -6,6 +6,7 @@ import csv
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from ..train import (
 from ..types import Floats
 from . import pendulum_graphs as graphs
 from .page import figure, table, write_page
-from .work import Options, Result, Work
+from .work import STANDS, Options, Result, Work, standing
 
 __all__ = ["DEFAULTS", "VARIANTS", "Variant", "pendulum"]
 
@@ -92,7 +93,7 @@ def pendulum(options: Options = DEFAULTS) -> Result:
     chosen = {name: VARIANTS[name] for name in options.variants}
     for name in dict.fromkeys(variant.training for variant in chosen.values()):
         variant = next(variant for variant in chosen.values() if variant.training == name)
-        work.train(name, _environment(work, variant), PENDULUM.changed(total_steps=options.steps))
+        work.train(name, partial(_environment, work, variant), PENDULUM.changed(total_steps=options.steps))
 
     ahead = _ahead(load(work.out / "recording.mcap")) + work.estimate("actuator")["value"]
     noise = work.result.identified["outputs"][0]["fitted"]
@@ -114,9 +115,15 @@ def pendulum(options: Options = DEFAULTS) -> Result:
             shares["held"].append(float(np.mean(upright[first:])) if upright.any() else 0.0)
             traces.setdefault(name, (time, angle))
         means = {each: np.mean(pairs, axis=0).tolist() for each, pairs in errors.items()}
-        work.result.variants[name] = {"about": variant.about, **shares, "errors": means}
+        work.result.variants[name] = {
+            "about": variant.about,
+            **shares,
+            "standing": standing(shares["held"]),
+            "errors": means,
+        }
         every = ", ".join(f"{share:.0%}" for share in shares["held"])
         work.say(f"5. {name}: upright {np.mean(shares['upright']):.0%} of the time; after it first stood, {every}.")
+        work.say(f"   {_stands(work.result.variants[name]['standing'])} it stood at least {STANDS:.0%} of that time.")
 
     result = work.finish()
     write_page(
@@ -222,10 +229,17 @@ def _variants(result: Result) -> str:
             told["about"],
             ", ".join(f"{share:.0%}" for share in told["upright"]),
             ", ".join(f"{share:.0%}" for share in told["held"]),
+            _stands(told["standing"]),
         ]
         for name, told in result.variants.items()
     ]
-    return table(["variant", "", "upright", "after it first stood"], shares)
+    return table(["variant", "", "upright", "after it first stood", f"{STANDS:.0%} of that, or more"], shares)
+
+
+def _stands(told: Mapping[str, Any]) -> str:
+    """In how many runs it stood."""
+    low, high = told["interval"]
+    return f"in {told['runs']} of {told['of']} runs (95 %: {low:.0%} to {high:.0%})"
 
 
 def _traces(traces: Mapping[str, tuple[Floats, Floats]]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +66,7 @@ def quadrotor(options: Options = DEFAULTS) -> Result:
     chosen = {name: VARIANTS[name] for name in options.variants}
     paths: dict[str, dict[str, Floats]] = {}
     for name, variant in chosen.items():
-        work.train(name, _environment(work, variant), QUADROTOR.changed(total_steps=options.steps))
+        work.train(name, partial(_environment, work, variant), QUADROTOR.changed(total_steps=options.steps))
     for name, variant in chosen.items():
         policy = str(work.policy(name))
         # Finer ticks than in training, where what is sensed lies between ticks.
