@@ -245,13 +245,29 @@ struct Screened {
     cost: f64,
 }
 
+/// Whether a fit that leaves more than noise has pushed a calibrated parameter to its bound: to stand in for what it lacks,
+/// it has left the region where the machine is, and what it lacks may not be reached from there.
+fn is_strained(fit: &Fit) -> bool {
+    fit.shooting_error > INEXACT
+        && fit
+            .hypothesis
+            .fitted
+            .iter()
+            .enumerate()
+            .any(|(k, f)| matches!(f.slot, Slot::Nominal(_)) && fit.rests(k))
+}
+
 /// Follows every start of a hypothesis for a few steps, on a sample of the windows.
 fn screen(setup: &Setup, base: &Fit, hypothesis: Hypothesis) -> Screened {
     let simulator = library::simulator(setup, &hypothesis, Vec::new());
     let sample = representative(setup, windows(setup, &simulator, &base.innovation.pass), SCREEN_WINDOWS);
-    let mut starts = hypothesis.starts();
+    let declared = hypothesis.starts();
+    let mut starts = declared.clone();
     for start in &mut starts {
         continue_from(base, &hypothesis, start);
+    }
+    if is_strained(base) {
+        starts.extend(declared);
     }
     let first = starts.first().cloned().unwrap_or_default();
     let mut tried: Vec<(f64, Vec<f64>)> = starts

@@ -114,6 +114,24 @@ pub fn columns(setup: &Setup, null: &Fit, effect: &EffectAt) -> DMatrix<f64> {
     columns_at(setup, null, effect, 0)
 }
 
+/// Length of an effect's columns up to which it leaves no trace.
+pub const TRACE: f64 = 1e-9;
+
+/// The same at the first of the effect's starts at which it leaves a trace.
+#[must_use]
+pub fn columns_with_trace(setup: &Setup, null: &Fit, effect: &EffectAt) -> DMatrix<f64> {
+    let mut effects = null.hypothesis.effects.clone();
+    effects.push(effect.clone());
+    let hypothesis = library::hypothesis(setup, &effects);
+    let first = columns_of(setup, null, &hypothesis, 0);
+    let traces = |columns: &DMatrix<f64>| columns.norm() > TRACE;
+    let starts = hypothesis.fitted.iter().map(|f| f.starts.len()).max().unwrap_or(0);
+    if traces(&first) {
+        return first;
+    }
+    (1..starts).map(|start| columns_of(setup, null, &hypothesis, start)).find(traces).unwrap_or(first)
+}
+
 /// The same at each of the effect's starts, where it is what it does and not its size that they differ by: a spring inside a
 /// joint is seen at its frequency.
 #[must_use]

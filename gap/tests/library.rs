@@ -46,6 +46,7 @@ const CASES: &[(Effect, PlaceKind, usize, &[f64])] = &[
     (Effect::ConstantForce, PlaceKind::Joint, 0, &[0.05]),
     (Effect::EndStop, PlaceKind::Joint, 0, &[0.13, 3.0]),
     (Effect::EndStopLower, PlaceKind::Joint, 0, &[0.137, 3.0]),
+    (Effect::EndStopBoth, PlaceKind::Joint, 0, &[0.13, 0.137, 3.0]),
     (Effect::Wind, PlaceKind::Joint, 1, &[0.05]),
     (Effect::WindSpeed, PlaceKind::Joint, 0, &[0.9]),
     (Effect::PeriodicDisturbance, PlaceKind::Joint, 0, &[0.06, 3.1, 0.4]),

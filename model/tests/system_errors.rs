@@ -226,6 +226,7 @@ fn broken_expressions() {
     expression("u*", "ends where a value should follow\n    u*\n      ^");
     expression("*u", "should stand before `*`");
     expression("2u", "write `2*x`, not `2x`");
+    expression("arm.q", "names have no parts");
     expression("u M", "an operator is missing before this\n    u M\n      ^");
     expression("u**2", "write a power as `^`");
     expression("u = 2", "write equality as `==`");

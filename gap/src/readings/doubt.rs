@@ -43,13 +43,9 @@ pub(crate) fn contradicted(setup: &Setup, raw: &Raw, recorded: &Experiment, fits
     };
     let passes: Vec<_> = fits.iter().map(|fit| errors(fit)).collect();
     let is_contradicted = |output: usize| {
-        // Times that scatter make readings noisier only where they change fast.
-        if fits.iter().any(|fit| scatter::times_scatter(setup, fit, output)) {
-            return false;
-        }
         let stamps = recorded.output(output).0;
         let suspects: Vec<f64> = raw.outliers(output).into_iter().map(|k| stamps[k]).collect();
-        passes.iter().any(|pass| {
+        fits.iter().zip(&passes).any(|(fit, pass)| {
             let own = (0..pass.readings()).filter(|k| pass.output[*k] == output);
             let suspect = |k: &usize| suspects.binary_search_by(|s| s.total_cmp(&pass.stamp[*k])).is_ok();
             let (at, others): (Vec<usize>, Vec<usize>) = own.partition(suspect);
@@ -63,7 +59,9 @@ pub(crate) fn contradicted(setup: &Setup, raw: &Raw, recorded: &Experiment, fits
             let typical = median(&mut at.iter().map(size).collect::<Vec<_>>());
             let no_outliers =
                 alleged(output, "outliers") && !at.is_empty() && typical < NEAR * plain.output_noise[output];
-            no_noise || no_outliers
+            // Times that scatter make readings noisier only where they change fast. A model that lacks something shows such
+            // scatter, too: each speaks for itself.
+            (no_noise || no_outliers) && !scatter::times_scatter(setup, fit, output)
         })
     };
     outputs.into_iter().filter(|output| is_contradicted(*output)).collect()

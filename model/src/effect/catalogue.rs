@@ -114,6 +114,9 @@ pub(super) const fn of(effect: Effect) -> Entry {
             const { &[within("limit", Q::UpperStop, INF, -INF, INF), positive("stiffness", Q::StopStiffness)] }),
         Effect::EndStopLower => entry("end_stop", "runs into a stop on its lower side", JOINT,
             const { &[within("lower_limit", Q::LowerStop, -INF, -INF, INF), positive("stiffness", Q::StopStiffness)] }),
+        Effect::EndStopBoth => entry("end_stop", "runs into stops on both sides", JOINT, const { &[
+            within("limit", Q::UpperStop, INF, -INF, INF), within("lower_limit", Q::LowerStop, -INF, -INF, INF),
+            positive("stiffness", Q::StopStiffness)] }),
         Effect::Parameter => entry("parameter", "has another value", const { &[PlaceKind::Parameter] },
             const { &[within("value", Q::Parameter, f64::NAN, -INF, INF)] }),
         // Environment.

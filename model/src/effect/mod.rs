@@ -100,6 +100,8 @@ pub enum Effect {
     EndStop,
     /// A stop below a position: a form of `end_stop`.
     EndStopLower,
+    /// Stops on both sides of the way, alike in stiffness: a form of `end_stop`.
+    EndStopBoth,
     /// A constant force of the surrounding air.
     Wind,
     /// Surrounding air that moves, where a joint names its state: a form of `wind`.
@@ -138,7 +140,7 @@ pub enum Effect {
 
 impl Effect {
     /// Every effect there is, in every form.
-    pub const ALL: [Effect; 48] = [
+    pub const ALL: [Effect; 49] = [
         Effect::Delay,
         Effect::Lag,
         Effect::LagSecondOrder,
@@ -171,6 +173,7 @@ impl Effect {
         Effect::ConstantForce,
         Effect::EndStop,
         Effect::EndStopLower,
+        Effect::EndStopBoth,
         Effect::Wind,
         Effect::WindSpeed,
         Effect::PeriodicDisturbance,
@@ -245,6 +248,7 @@ impl Effect {
             Effect::AsymmetricViscous => &[Effect::Viscous],
             // A wave longer than the way is a stiffness that changes along it.
             Effect::Cogging => &[Effect::SpringCubic],
+            Effect::EndStopBoth => &[Effect::EndStop, Effect::EndStopLower],
             // A soft spring that rests far away.
             Effect::Spring => &[Effect::ConstantForce],
             _ => &[],
@@ -332,6 +336,9 @@ impl Effect {
             }
             (Effect::EndStop, &[limit, stiffness]) => Some(body::upper_stop(limit, stiffness, motion)),
             (Effect::EndStopLower, &[limit, stiffness]) => Some(body::lower_stop(limit, stiffness, motion)),
+            (Effect::EndStopBoth, &[upper, lower, stiffness]) => {
+                Some(body::upper_stop(upper, stiffness, motion) + body::lower_stop(lower, stiffness, motion))
+            }
             (Effect::ConstantForce | Effect::Wind, &[force]) => Some(force),
             (Effect::PeriodicDisturbance, &[amplitude, frequency, phase]) => {
                 Some(body::periodic(amplitude, frequency, phase, motion))

@@ -95,7 +95,7 @@ fn number(rest: &str) -> Result<(Token, usize), &'static str> {
         end += 1 + fraction;
     }
     if whole + fraction == 0 {
-        return Err("a number needs a digit");
+        return Err("a `.` belongs to a number; names have no parts, so write `q`, not `joint.q`");
     }
     if rest[end..].starts_with(['e', 'E']) {
         let sign = usize::from(rest[end + 1..].starts_with(['+', '-']));
