@@ -2,10 +2,12 @@
 //!
 //! Simulations over a whole recording have many local minima: a swing too many or too few fits nothing that comes after.
 //! Over its beginning there are few. So the evolution looks at the beginning only, and Gauss–Newton refines its leaders
-//! there. Then all of the data count, cut into pieces that each begin in a state of their own (multiple shooting, H. G. Bock
-//! 1981): no error grows over more than a piece, and what holds the pieces together is made tighter until they are one. Where
-//! the machine cannot be started anywhere but at its beginning, the data that count grow from their beginning instead. Where
-//! the loss aimed at is not reached, everything starts again with another seed.
+//! there. From then on the data that count grow, by smaller steps where a larger one leaves the predictions behind (a
+//! swing over the top that depends on little). Once parameters are known from enough of them, all count, cut into pieces that
+//! each begin in a state of their own (multiple shooting, H. G. Bock 1981): no error grows over more than a piece, and what
+//! holds the pieces together is made tighter until they are one. Where that ends badly, or the machine cannot be started
+//! anywhere but at its beginning, the data grow until they are all there. Where the loss aimed at is not reached,
+//! everything starts again with another seed.
 
 use serde::{Deserialize, Serialize};
 
@@ -28,9 +30,11 @@ pub struct HybridOptions {
     pub generations: usize,
     /// First step size of the evolution, in widths of the box.
     pub sigma: f64,
-    /// The shares of the data that count, one after the other; scouts and evolution see the first. In pieces, only the first two
-    /// are taken, and then all.
+    /// The shares of the data that count, one after the other; scouts and evolution see the first. Where the loss aimed at is
+    /// known, shares between them are taken as well where a step is too large.
     pub shares: Vec<f64>,
+    /// From this share of the data on, all of them count in pieces.
+    pub enough: f64,
     /// Into how many pieces all of the data are cut; 1: not at all. Absent: whoever evaluates says, who knows the machine.
     pub pieces: Option<usize>,
     /// How tightly the pieces are held together, one after the other: inverse standard deviations in units of the states'
@@ -39,7 +43,7 @@ pub struct HybridOptions {
     /// How many of the refined leaders go on to all of the data in pieces.
     pub shooters: usize,
     /// How many of the evolution's leaders, and twice as many of the scouts, Gauss–Newton refines at first; on the second
-    /// share as many as leaders, on each further one half as many.
+    /// share as many as leaders, on each further one half as many, and at least two.
     pub leaders: usize,
     /// Most Gauss–Newton steps on each share.
     pub iterations: usize,
@@ -61,6 +65,7 @@ impl Default for HybridOptions {
             generations: 12,
             sigma: 0.2,
             shares: vec![0.05, 0.1, 0.2, 0.4, 0.7, 1.0],
+            enough: 0.4,
             pieces: None,
             tightness: vec![100.0, 1e3, 1e4],
             shooters: 1,
@@ -78,6 +83,10 @@ impl Default for HybridOptions {
 const MOST_EFFORT: usize = 4;
 /// So many times the loss aimed at is not worth refining.
 const HOPELESS: f64 = 4.0;
+/// So many times the loss aimed at, where a further share begins, is too large a step.
+const FAR: f64 = 100.0;
+/// Steps from one share to the next are made smaller until they are by this factor.
+const SMALLEST_STEP: f64 = 1.08;
 
 /// How much larger a gain has to be before the last view.
 const ON_THE_WAY: f64 = 50.0;
@@ -89,7 +98,7 @@ enum Phase {
     },
     Evolution(Box<CmaEs>),
     Refinement {
-        stage: usize,
+        share: f64,
         search: LevenbergMarquardt,
     },
     /// States at the cuts are found for these.
@@ -115,8 +124,12 @@ pub struct Hybrid {
     best: Option<Best>,
     /// The best scouts of this round.
     scouts: Vec<Best>,
-    /// The best on the first shares, while all of the data are seen in pieces.
-    refined: Option<Best>,
+    /// The largest share of this round that is fitted, with where its search ended, best first.
+    held: Option<(f64, Vec<Best>)>,
+    /// Whether all of the data have been looked at in pieces in this round.
+    cut: bool,
+    /// Whether what is refined on all of the data came from the pieces.
+    shot: bool,
     /// What the rounds ended at.
     ends: Vec<f64>,
 }
@@ -148,7 +161,9 @@ impl Hybrid {
             round: 0,
             phase: Phase::Done(Stop::Failed),
             best: None,
-            refined: None,
+            held: None,
+            cut: false,
+            shot: false,
             scouts: Vec::new(),
             ends: Vec::new(),
             bounds,
@@ -222,9 +237,45 @@ impl Hybrid {
         LevenbergMarquardt::new(bounds, starts, options)
     }
 
-    fn refinement(&self, stage: usize, starts: &[Vec<f64>]) -> Result<Phase, FitError> {
-        let view = View::whole(self.options.shares[stage]);
-        Ok(Phase::Refinement { stage, search: self.marquardt(view, self.bounds.clone(), starts)? })
+    fn refinement(&self, share: f64, starts: &[Vec<f64>]) -> Result<Phase, FitError> {
+        let search = self.marquardt(View::whole(share), self.bounds.clone(), starts)?;
+        Ok(Phase::Refinement { share, search })
+    }
+
+    /// Goes on from the share that is fitted: to all of the data in pieces, or to the next share.
+    fn grow(&mut self) -> Result<Phase, FitError> {
+        let Some((held, ends)) = &self.held else { return self.next_round() };
+        let shares = &self.options.shares;
+        if self.may_cut() && *held >= self.options.enough {
+            return Ok(self.cutting());
+        }
+        let Some(next) = shares.iter().find(|share| *share > held) else { return self.next_round() };
+        let passed = shares.iter().filter(|share| *share < held).count();
+        let most = (self.leaders() >> passed.min(8)).max(2);
+        self.refinement(*next, &apart(ends, most, &self.bounds))
+    }
+
+    /// Tries a smaller share than one that went wrong; where that is hardly more than what is fitted, the pieces are left.
+    fn shrink(&mut self, share: f64) -> Result<Phase, FitError> {
+        let Some((held, ends)) = &self.held else { return self.next_round() };
+        if share > SMALLEST_STEP * held {
+            return self.refinement((share * held).sqrt(), &apart(ends, 2, &self.bounds));
+        }
+        // The first share alone says too little.
+        match self.may_cut() && *held > self.options.shares[0] {
+            true => Ok(self.cutting()),
+            false => self.next_round(),
+        }
+    }
+
+    fn may_cut(&self) -> bool {
+        self.pieces() > 1 && !self.options.tightness.is_empty() && !self.cut
+    }
+
+    fn cutting(&mut self) -> Phase {
+        self.cut = true;
+        let ends = self.held.as_ref().map_or(&[][..], |(_, ends)| ends);
+        Phase::Cutting { points: apart(ends, self.options.shooters.max(1) * self.effort(), &self.bounds) }
     }
 
     fn shooting(&self, step: usize, starts: &[Vec<f64>]) -> Result<Phase, FitError> {
@@ -240,13 +291,12 @@ impl Hybrid {
     fn in_pieces(&self, step: usize) -> View {
         let tightness = self.options.tightness.get(step).copied().unwrap_or(0.0);
         // What the points fit already.
-        let share = self.options.shares[1.min(self.options.shares.len() - 1)];
+        let share = self.held.as_ref().map_or(1.0, |(share, _)| *share);
         View { share, pieces: self.pieces(), tightness }
     }
 
     /// Goes on where a phase has ended.
     fn advance(&mut self) {
-        let last = self.options.shares.len() - 1;
         let next = match &self.phase {
             Phase::Scouting { .. } => return,
             Phase::Evolution(evolution) => {
@@ -254,47 +304,45 @@ impl Hybrid {
                 starts.extend(apart(&self.scouts, 2 * self.leaders(), &self.bounds));
                 match starts.is_empty() {
                     true => self.next_round(),
-                    false => self.refinement(0, &starts),
+                    false => self.refinement(self.options.shares[0], &starts),
                 }
             }
-            Phase::Refinement { stage, search } => {
-                let (stage, mut ends) = (*stage, ends(search));
-                if ends.is_empty() {
-                    self.next_round()
-                } else if stage == last {
-                    self.ends.push(ends[0].loss);
-                    match self.is_good_enough() {
-                        Some(stop) => Ok(Phase::Done(stop)),
-                        None => self.next_round(),
+            Phase::Refinement { share, search } => {
+                let (share, mut ends) = (*share, ends(search));
+                match ends.first().map(|end| end.loss) {
+                    None => self.next_round(),
+                    Some(least) if share >= 1.0 => {
+                        self.ends.push(least);
+                        match self.is_good_enough() {
+                            Some(stop) => Ok(Phase::Done(stop)),
+                            // Without the pieces it may come out elsewhere.
+                            None if std::mem::take(&mut self.shot) => self.grow(),
+                            None => self.next_round(),
+                        }
                     }
-                } else {
-                    // What fits the beginning far worse will not fit the whole better.
-                    let least = ends[0].loss;
-                    ends.retain(|end| end.loss <= 2.0 * least.abs() + least + 10.0);
-                    let in_pieces = self.pieces() > 1 && !self.options.tightness.is_empty();
-                    if self.is_hopeless(stage, least) {
-                        self.next_round()
-                    } else if in_pieces && stage >= 1 {
-                        let points = apart(&ends, self.options.shooters.max(1) * self.effort(), &self.bounds);
-                        self.refined = ends.first().cloned();
-                        Ok(Phase::Cutting { points })
-                    } else {
-                        let most = (self.leaders() >> stage).max(2);
-                        let starts = apart(&ends, most, &self.bounds);
-                        self.refinement(stage + 1, &starts)
+                    Some(least) if share > self.options.shares[0] && self.is_far(HOPELESS, share, least) => {
+                        self.shrink(share)
+                    }
+                    Some(least) => {
+                        // What fits the beginning far worse will not fit the whole better.
+                        ends.retain(|end| end.loss <= 2.0 * least.abs() + least + 10.0);
+                        self.held = Some((share, ends));
+                        self.grow()
                     }
                 }
             }
             Phase::Cutting { .. } => return,
             Phase::Shooting { step, search } => {
-                let (step, points) = (*step, distinct(&ends(search)));
-                if points.is_empty() {
-                    self.next_round()
+                let (step, ends) = (*step, ends(search));
+                let points = distinct(&ends);
+                if ends.first().is_none_or(|end| self.is_far(HOPELESS, 1.0, end.loss)) {
+                    self.grow()
                 } else if step + 1 < self.options.tightness.len() {
                     self.shooting(step + 1, &points)
                 } else {
                     let n = self.bounds.len();
-                    self.refinement(last, &points.iter().map(|point| point[..n].to_vec()).collect::<Vec<_>>())
+                    self.shot = true;
+                    self.refinement(1.0, &points.iter().map(|point| point[..n].to_vec()).collect::<Vec<_>>())
                 }
             }
             Phase::Done(stop) => Ok(Phase::Done(*stop)),
@@ -304,19 +352,24 @@ impl Hybrid {
 
     fn next_round(&mut self) -> Result<Phase, FitError> {
         if self.round >= self.options.restarts {
+            // Who asks gets an answer to all of the data, a bad one if need be.
+            if self.best.is_none()
+                && let Some((_, ends)) = self.held.take()
+            {
+                return self.refinement(1.0, &apart(&ends, 1, &self.bounds));
+            }
             let stop = if self.best.is_some() { Stop::Budget } else { Stop::Failed };
             return Ok(Phase::Done(stop));
         }
         self.round += 1;
         self.scouts.clear();
+        (self.held, self.cut, self.shot) = (None, false, false);
         self.scouting()
     }
 
-    /// Whether the beginning of the data is fitted so badly that the rest is not worth looking at: another round costs less.
-    fn is_hopeless(&self, stage: usize, loss: f64) -> bool {
-        let last = self.round >= self.options.restarts;
-        let far = |target: f64| loss > HOPELESS * target * self.options.shares[stage];
-        stage >= 1 && !last && self.options.target.is_some_and(far)
+    /// Whether a loss on this share of the data is so many times the one aimed at.
+    fn is_far(&self, times: f64, share: f64, loss: f64) -> bool {
+        self.options.target.is_some_and(|target| loss > times * target * share)
     }
 
     /// Whether the last round ended well.
@@ -427,12 +480,19 @@ impl Solver for Hybrid {
                     Best::keep(&mut self.best, point, *loss);
                 }
             }
-            Phase::Refinement { stage, search } => {
+            Phase::Refinement { share, search } => {
+                let begins = search.best().is_none();
                 search.tell(answer);
-                if *stage + 1 == self.options.shares.len()
-                    && let Some(Best { point, loss }) = search.best()
+                let (share, best) = (*share, search.best());
+                if share >= 1.0
+                    && let Some(Best { point, loss }) = best
                 {
                     Best::keep(&mut self.best, point, *loss);
+                }
+                let least = best.map_or(f64::INFINITY, |best| best.loss);
+                let step = self.held.as_ref().map_or(0.0, |(held, _)| share / held);
+                if begins && !self.shot && step > SMALLEST_STEP && self.is_far(FAR, share, least) {
+                    self.phase = self.shrink(share).unwrap_or(Phase::Done(Stop::Failed));
                 }
             }
             Phase::Shooting { search, .. } => search.tell(answer),
@@ -451,30 +511,28 @@ impl Solver for Hybrid {
             Phase::Scouting { .. } => None,
             Phase::Evolution(evolution) => evolution.best().or(self.scouts.first()),
             Phase::Refinement { search, .. } => search.best(),
-            Phase::Cutting { .. } | Phase::Shooting { .. } => self.refined.as_ref(),
+            Phase::Cutting { .. } | Phase::Shooting { .. } => {
+                self.held.as_ref().and_then(|(_, ends)| ends.first())
+            }
             Phase::Done(_) => None,
         };
         self.best.as_ref().or(searched)
     }
 
     fn progress(&self) -> f64 {
-        let tightened = self.options.tightness.len() as f64;
-        let stages = match self.pieces() {
-            1 => self.options.shares.len() as f64 + 1.0,
-            _ => 4.0 + tightened,
-        };
+        // The parts of a round: scouts and evolution, growing shares, pieces, and all of the data.
+        let tightened = self.options.tightness.len().max(1) as f64;
         let within = match &self.phase {
             Phase::Scouting { .. } => 0.0,
             Phase::Evolution(evolution) => evolution.progress(),
-            Phase::Refinement { stage: stage @ 0..=1, search } => *stage as f64 + 1.0 + search.progress(),
-            Phase::Refinement { search, .. } if self.pieces() > 1 => 3.0 + tightened + search.progress(),
-            Phase::Refinement { stage, search } => *stage as f64 + 1.0 + search.progress(),
-            Phase::Cutting { .. } => 3.0,
-            Phase::Shooting { step, search } => 3.0 + *step as f64 + search.progress(),
+            Phase::Refinement { share, .. } if *share < 1.0 => 1.0 + share,
+            Phase::Cutting { .. } => 2.0,
+            Phase::Shooting { step, search } => 2.0 + (*step as f64 + search.progress()) / tightened,
+            Phase::Refinement { search, .. } => 3.0 + search.progress(),
             Phase::Done(_) => return 1.0,
         };
         // Most fits need one round, or two that agree.
         let rounds = if self.options.target.is_some() { 1 } else { 2 }.max(self.round + 1) as f64;
-        ((self.round as f64 + within / stages) / rounds).min(1.0)
+        ((self.round as f64 + within / 4.0) / rounds).min(1.0)
     }
 }
