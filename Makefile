@@ -3,7 +3,7 @@
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: test format lint unit docs package python deny reference fuzz clean
+.PHONY: test format lint unit docs package python deny reference fuzz miri clean
 
 test: format lint unit python docs deny
 
@@ -60,6 +60,14 @@ fuzz:
 		cargo +nightly fuzz run $$reader fuzz/corpus/$$reader fuzz/seeds/$$reader -- \
 			-max_total_time=$(FUZZ_SECONDS) -timeout=20 -rss_limit_mb=4096 || exit 1; \
 	done
+
+# The `unsafe` that Miri can run: lanes up to AVX2, and the bytes of messages. It knows neither AVX-512 nor memory that processes
+# share. Needs a nightly toolchain and `rustup component add --toolchain nightly miri`.
+MIRI := MIRIFLAGS="-Zmiri-deterministic-floats -Zmiri-disable-isolation" RUSTFLAGS="-C target-feature=+avx2,+fma" \
+	CARGO_TARGET_DIR=target/miri cargo +nightly miri test
+miri:
+	$(MIRI) -p parallax-model --test lanes
+	$(MIRI) -p parallax-runtime --lib data::
 
 clean:
 	cargo clean
