@@ -1,5 +1,8 @@
 # `make test` builds what the tests need and runs everything that CI runs: tests, format, lints, docs, licences.
 
+# A failure is no reason not to look at the rest.
+MAKEFLAGS += --keep-going
+
 VENV := .venv
 BIN := $(VENV)/bin
 
@@ -21,7 +24,7 @@ lint:
 	cargo clippy -p parallax-runtime -- -D warnings
 
 unit: $(VENV)/ready
-	cargo test --workspace --features link,foxglove
+	cargo test --workspace --features link,foxglove --no-fail-fast
 
 # With the features of `lint`, whose checks of our crates' dependencies are then used again.
 docs:
