@@ -108,27 +108,20 @@ pub fn of_fit(setup: &Setup, null: &Fit, fit: &Fit) -> DVector<f64> {
     DVector::from_vec(without.whitened()) - DVector::from_vec(with.whitened())
 }
 
-/// Derivatives of a fit's whitened innovations by the parameters of a further effect, at a small effect.
-#[must_use]
-pub fn columns(setup: &Setup, null: &Fit, effect: &EffectAt) -> DMatrix<f64> {
-    columns_at(setup, null, effect, 0)
-}
-
 /// Length of an effect's columns up to which it leaves no trace.
 pub const TRACE: f64 = 1e-9;
 
-/// The same at the first of the effect's starts at which it leaves a trace.
+/// Derivatives of a fit's whitened innovations by the parameters of a further effect, at the first of its starts, the smallest,
+/// at which it leaves a trace: a limit may be out of reach there.
 #[must_use]
-pub fn columns_with_trace(setup: &Setup, null: &Fit, effect: &EffectAt) -> DMatrix<f64> {
-    let mut effects = null.hypothesis.effects.clone();
-    effects.push(effect.clone());
-    let hypothesis = library::hypothesis(setup, &effects);
+pub fn columns(setup: &Setup, null: &Fit, effect: &EffectAt) -> DMatrix<f64> {
+    let hypothesis = library::hypothesis(setup, &effects(null, effect));
     let first = columns_of(setup, null, &hypothesis, 0);
     let traces = |columns: &DMatrix<f64>| columns.norm() > TRACE;
-    let starts = hypothesis.fitted.iter().map(|f| f.starts.len()).max().unwrap_or(0);
     if traces(&first) {
         return first;
     }
+    let starts = hypothesis.fitted.iter().map(|f| f.starts.len()).max().unwrap_or(0);
     (1..starts).map(|start| columns_of(setup, null, &hypothesis, start)).find(traces).unwrap_or(first)
 }
 
@@ -136,17 +129,18 @@ pub fn columns_with_trace(setup: &Setup, null: &Fit, effect: &EffectAt) -> DMatr
 /// joint is seen at its frequency.
 #[must_use]
 pub fn columns_at_starts(setup: &Setup, null: &Fit, effect: &EffectAt) -> Vec<DMatrix<f64>> {
-    let starts = match effect.effect {
-        Effect::Flexibility | Effect::FlexibilityFar => FREQUENCIES,
-        _ => 1,
-    };
-    (0..starts).map(|start| columns_at(setup, null, effect, start)).collect()
+    match effect.effect {
+        Effect::Flexibility | Effect::FlexibilityFar => {
+            let hypothesis = library::hypothesis(setup, &effects(null, effect));
+            (0..FREQUENCIES).map(|start| columns_of(setup, null, &hypothesis, start)).collect()
+        }
+        _ => vec![columns(setup, null, effect)],
+    }
 }
 
-fn columns_at(setup: &Setup, null: &Fit, effect: &EffectAt, start: usize) -> DMatrix<f64> {
-    let mut effects = null.hypothesis.effects.clone();
-    effects.push(effect.clone());
-    columns_of(setup, null, &library::hypothesis(setup, &effects), start)
+/// The effects of a fit, and a further one.
+fn effects(null: &Fit, further: &EffectAt) -> Vec<EffectAt> {
+    null.hypothesis.effects.iter().chain([further]).cloned().collect()
 }
 
 /// Derivatives of a fit's whitened innovations by what `hypothesis` has beyond it, at one of its starts.

@@ -54,8 +54,7 @@ pub(super) fn screen(
 ) -> (Vec<EffectAt>, Vec<nalgebra::DMatrix<f64>>, Vec<Absorbed>) {
     let (mut kept, mut kept_columns, mut absorbed) = (Vec::new(), Vec::new(), Vec::new());
     for effect in candidates {
-        // A limit that the first start puts out of reach may be reached from the next.
-        let columns = signature::columns_with_trace(setup, null, &effect);
+        let columns = signature::columns(setup, null, &effect);
         let own = nuisance.project_columns(&columns);
         let (before, after) = (columns.norm(), own.norm());
         if before.is_nan() || before <= signature::TRACE {

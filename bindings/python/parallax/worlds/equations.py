@@ -18,7 +18,7 @@ import numpy as np
 from ..system import Parameter
 from ..types import Tree
 from ..written import Joint, Reading, write_system
-from .freedoms import DIRECTIONS, Freedoms, feels_speed, floats, rotation, turned
+from .freedoms import DIRECTIONS, Freedoms, feels_speed, floats, rotation, row, turned
 from .mjcf import Machine
 from .ports import package
 
@@ -104,14 +104,14 @@ def _write(
             fields[field] = values.at[index].set(p[one])
         qpos, qvel = freedoms.qpos(x), freedoms.qvel(x)
         if own:
-            moving = rotation(qpos[3:7]).T @ _row(qvel[:3]) if feels_speed(mj) else jnp.zeros(3)
+            moving = rotation(qpos[3:7]).T @ row(qvel[:3]) if feels_speed(mj) else jnp.zeros(3)
             qvel[:3] = list(moving)
             qpos[:7] = [jnp.asarray(value) for value in (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)]
         data = data_x.replace(
-            qpos=_row(qpos),
-            qvel=_row(qvel),
-            ctrl=_row([u[actuator] for actuator in actuators]),
-            act=_row([x[one] for one in memory]),
+            qpos=row(qpos),
+            qvel=row(qvel),
+            ctrl=row([u[actuator] for actuator in actuators]),
+            act=row([x[one] for one in memory]),
         )
         moved = model_x.replace(**fields)
         return moved, mjx.forward(moved, data)
@@ -135,7 +135,7 @@ def _write(
 
     def derivative(p: Tree, x: Tree, u: Tree, forces: Tree) -> Tree:
         moved, data = placed(p, x, u)
-        applied = _row([forces[one.name] for one in freedoms.all])
+        applied = row([forces[one.name] for one in freedoms.all])
         if floating:
             applied = turned(rotation(freedoms.qpos(x)[3:7]).T, applied)
         data = data.replace(qfrc_actuator=jnp.zeros_like(applied), qfrc_applied=applied)
@@ -146,7 +146,7 @@ def _write(
         return rates | {one: data.act_dot[number] for number, one in enumerate(memory)}
 
     def output(p: Tree, x: Tree, u: Tree) -> Tree:
-        data = placed(p, x, u, own=False)[1].replace(qpos=_row(freedoms.qpos(x)))  # Of the length that it has.
+        data = placed(p, x, u, own=False)[1].replace(qpos=row(freedoms.qpos(x)))  # Of the length that it has.
         # What turns with the body is read in its own frame, without a way to the world's and back.
         inner = placed(p, x, u)[1]
         return {
@@ -198,10 +198,6 @@ def _write(
         comments=comments,
     )
     return left_out
-
-
-def _row(values: Sequence[Any]) -> Any:
-    return jnp.stack(values) if values else jnp.zeros(0)
 
 
 def _numbers(name: str, view: tuple[str, int, int]) -> dict[str, tuple[str, int, int]]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..types import Tree
 
-__all__ = ["DIRECTIONS", "Freedom", "Freedoms", "feels_speed", "floats", "rotation", "turned"]
+__all__ = ["DIRECTIONS", "Freedom", "Freedoms", "feels_speed", "floats", "rotation", "row", "turned"]
 
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 """What the numbers of a force and a torque are called."""
@@ -92,22 +92,24 @@ class Freedoms:
     def rates(self, x: Tree) -> Tree:
         """How fast positions change."""
         rates: Tree = {}
-        for first, turning in self.quaternions:
+        for first, about in self.quaternions:
             w, *axis = (x[one] for one in self.positions[first : first + 4])
-            speed = [x[one.velocity] for one in self.all[turning : turning + 3]]
-            across = jnp.cross(_row(axis), _row(speed))
+            speed = [x[one.velocity] for one in self.all[about : about + 3]]
+            across = jnp.cross(row(axis), row(speed))
             rates[self.positions[first]] = -0.5 * sum(a * s for a, s in zip(axis, speed, strict=True))
             for at in range(3):
                 rates[self.positions[first + 1 + at]] = 0.5 * (w * speed[at] + across[at])
         plain = [place for place in range(len(self.positions)) if not self.is_quaternion(place)]
-        moving = [number for number, one in enumerate(self.all) if not one.position.startswith("2*")]
+        turning = {first + at for _, first in self.quaternions for at in range(3)}
+        moving = [number for number in range(len(self.all)) if number not in turning]
         return rates | {
             self.positions[place]: x[self.all[number].velocity] for place, number in zip(plain, moving, strict=True)
         }
 
 
-def _row(values: Sequence[Any]) -> Any:
-    return jnp.stack([jnp.asarray(value) for value in values])
+def row(values: Sequence[Any]) -> Any:
+    """These numbers as one array, which may be empty."""
+    return jnp.stack([jnp.asarray(value) for value in values]) if values else jnp.zeros(0)
 
 
 def rotation(quaternion: Sequence[Any]) -> Any:
@@ -116,9 +118,9 @@ def rotation(quaternion: Sequence[Any]) -> Any:
     scale = 2.0 / (w * w + x * x + y * y + z * z)
     return jnp.stack(
         [
-            _row([1.0 - scale * (y * y + z * z), scale * (x * y - w * z), scale * (x * z + w * y)]),
-            _row([scale * (x * y + w * z), 1.0 - scale * (x * x + z * z), scale * (y * z - w * x)]),
-            _row([scale * (x * z - w * y), scale * (y * z + w * x), 1.0 - scale * (x * x + y * y)]),
+            row([1.0 - scale * (y * y + z * z), scale * (x * y - w * z), scale * (x * z + w * y)]),
+            row([scale * (x * y + w * z), 1.0 - scale * (x * x + z * z), scale * (y * z - w * x)]),
+            row([scale * (x * z - w * y), scale * (y * z + w * x), 1.0 - scale * (x * x + y * y)]),
         ]
     )
 
