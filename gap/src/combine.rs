@@ -322,7 +322,8 @@ fn prune(
     fit
 }
 
-/// Puts a simpler effect in the place of one that contains it, where that costs less than [`WORTH`].
+/// Puts a simpler effect in the place of one that contains it, where that costs less than [`WORTH`], or hardly more and
+/// what it leaves out is not told from nothing.
 fn simplify(setup: &Setup, null: &Fit, mut fit: Fit, judge: &Judge) -> Fit {
     for k in 0..fit.hypothesis.effects.len() {
         for simpler in fit.hypothesis.effects[k].effect.simpler() {
@@ -336,7 +337,7 @@ fn simplify(setup: &Setup, null: &Fit, mut fit: Fit, judge: &Judge) -> Fit {
                 continue;
             }
             let other = fit_hypothesis(setup, null, library::hypothesis(setup, &effects));
-            if !judge.is_worth(&fit, &other) {
+            if !judge.is_worth(&fit, &other) || judge.is_spare(&fit, k, &other) {
                 fit = other;
                 break;
             }

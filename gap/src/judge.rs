@@ -8,6 +8,9 @@ pub const WORTH: f64 = 10.0;
 /// Difference of −2 log evidence that says nothing.
 pub const EVEN: f64 = 1.0;
 
+/// Difference of −2 log evidence from which two effects of like signature are told apart all the same.
+pub const DECISIVE: f64 = 20.0;
+
 /// Share of an output's squared error that a further effect must close where no hypothesis reaches the noise.
 const CLOSED: f64 = 0.4;
 
@@ -107,6 +110,13 @@ impl Judge {
     #[must_use]
     pub fn is_material(&self, fit: &Fit, base: &Fit) -> bool {
         base.shooting_error - fit.shooting_error >= MATERIAL * self.gap
+    }
+
+    /// Whether an effect of `fit` has a parameter to spare, and without it, as `to` has it, the evidence is hardly worse: one
+    /// that the data do not tell from its null follows what a form leaves.
+    #[must_use]
+    pub fn is_spare(&self, fit: &Fit, effect: usize, to: &Fit) -> bool {
+        fit.has_spare(effect) && self.cost(to) - self.cost(fit) < 2.0 * DECISIVE
     }
 
     /// Whether some hypothesis reaches the sensors' noise.

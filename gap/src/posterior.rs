@@ -4,8 +4,8 @@ use nalgebra::DVector;
 use parallax_model::effect::PlaceKind;
 
 use crate::combine;
-use crate::hypothesis::{EffectAt, Slot};
-use crate::judge::{EVEN, Judge};
+use crate::hypothesis::EffectAt;
+use crate::judge::{DECISIVE, EVEN, Judge};
 use crate::options::Options;
 use crate::search::Fit;
 use crate::setup::Setup;
@@ -26,12 +26,6 @@ const PRIOR_FURTHER: f64 = 0.3;
 
 /// Difference of −2 log evidence up to which the simpler of two effects with one signature is named.
 const EQUAL: f64 = 10.0;
-
-/// Standard deviations from its null at which a parameter counts as found.
-const SIGNIFICANT: f64 = 3.0;
-
-/// Difference of −2 log evidence from which two effects of like signature are told apart all the same.
-const DECISIVE: f64 = 20.0;
 
 /// Probability, at most, that a named effect is none of the cause because predictions on held-out time stay off; and the
 /// share of the gap left there at which two thirds of it are reached. On development data an effect that closed 98 %
@@ -321,26 +315,18 @@ fn best_forms(fits: &mut Vec<Fit>) -> Vec<f64> {
     forms
 }
 
-/// Whether a parameter of an effect does not differ from its null: it speaks for a form without it.
-fn has_spare(fit: &Fit) -> bool {
-    let fitted = fit.hypothesis.fitted.iter().zip(fit.estimate()).zip(fit.std());
-    fitted
-        .filter(|((f, _), _)| matches!(f.slot, Slot::Effect { .. }))
-        .any(|((f, value), std)| (value - f.null).abs() < SIGNIFICANT * std)
-}
-
-/// Whether an effect contains a simpler one at the same place, and either has a parameter to spare or explains no more of
-/// the gap than the simpler one's form may be off by.
+/// Whether one has what the other has but for an effect that contains a simpler one at the same place, and either has a
+/// parameter to spare there or explains no more of the gap than the simpler one's form may be off by.
 fn gives_way(fit: &Fit, to: &Fit, judge: &Judge) -> bool {
-    match (&fit.hypothesis.effects[..], &to.hypothesis.effects[..]) {
-        ([own], [other]) => {
-            own.place == other.place
-                && own.effect.simpler().contains(&other.effect)
-                && (!judge.is_material(fit, to)
-                    || (has_spare(fit) && judge.cost(to) - judge.cost(fit) < 2.0 * DECISIVE))
-        }
-        _ => false,
-    }
+    let beyond = |all: &Fit, other: &Fit| -> Vec<usize> {
+        let known = &other.hypothesis.effects;
+        (0..all.hypothesis.effects.len()).filter(|&k| !known.contains(&all.hypothesis.effects[k])).collect()
+    };
+    let ([own], [other]) = (&beyond(fit, to)[..], &beyond(to, fit)[..]) else { return false };
+    let (at, simpler) = (&fit.hypothesis.effects[*own], &to.hypothesis.effects[*other]);
+    at.place == simpler.place
+        && at.effect.simpler().contains(&simpler.effect)
+        && (!judge.is_material(fit, to) || judge.is_spare(fit, *own, to))
 }
 
 /// Whether it takes a calibrated parameter beyond the range that the system's file gives it.
@@ -369,7 +355,7 @@ fn lead_with_the_simplest(
         .filter(|&k| cost(k) - cost(first) < EQUAL);
     let best = honest.unwrap_or(first);
     let size = |k: usize| fits[k].hypothesis.fitted.len();
-    let spare = has_spare(&fits[best]);
+    let spare = (0..fits[best].hypothesis.effects.len()).any(|k| fits[best].has_spare(k));
     let eligible = |k: usize| {
         if honest.is_some() && contradicts(&fits[k]) {
             return false;

@@ -43,6 +43,9 @@ pub const INEXACT: f64 = 1.5;
 /// Share of a parameter's range within which it counts as resting on a bound.
 pub const RESTS: f64 = 1e-3;
 
+/// Standard deviations from its null at which a parameter counts as found.
+const SIGNIFICANT: f64 = 3.0;
+
 /// Natural sizes of a parameter that count as its range where that is wider.
 const SIZES: f64 = 50.0;
 
@@ -53,6 +56,15 @@ impl Fit {
         let (fitted, value) = (&self.hypothesis.fitted[parameter], self.theta()[parameter]);
         let near = RESTS * (fitted.high - fitted.low).min(SIZES * fitted.scale);
         near.is_finite() && (value - fitted.low <= near || fitted.high - value <= near)
+    }
+
+    /// Whether a parameter of an effect does not differ from its null: it speaks for a form without it.
+    #[must_use]
+    pub fn has_spare(&self, effect: usize) -> bool {
+        let fitted = self.hypothesis.fitted.iter().zip(self.estimate()).zip(self.std());
+        fitted
+            .filter(|((f, _), _)| matches!(f.slot, Slot::Effect { effect: of, .. } if of == effect))
+            .any(|((f, value), std)| (value - f.null).abs() < SIGNIFICANT * std)
     }
 
     /// The parameters by innovation likelihood, at which the evidence was taken.
