@@ -25,7 +25,7 @@ use parallax_runtime::launch::signals::Signals;
 
 use super::failure::{Failure, Outcome, Sort};
 use super::output;
-use case::{CaseResult, diagnose_case};
+use case::{CaseResult, diagnose_case, try_baselines};
 use score::Scores;
 use truth::{CASES, Counts};
 
@@ -45,12 +45,13 @@ pub(crate) struct Arguments {
     /// Diagnose only every N-th case, from the I-th on; the shards share the folder and --resume.
     #[arg(long, value_name = "I/N", default_value = "1/1")]
     shard: Shard,
-    /// Go on with the run in the folder: cases that are in are not diagnosed again.
+    /// Go on with the run in the folder: cases that are in are not diagnosed again, but get what --baselines asks for.
     #[arg(long)]
     resume: bool,
-    /// Try the other methods on the same cases as well.
-    #[arg(long)]
-    baselines: bool,
+    /// Try other methods as well on the first N cases by their names, which are drawn by chance. Of a quadrotor they may
+    /// take ten minutes each.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    baselines: usize,
     /// Play the experiments proposed for up to N cases whose answer is a class of several effects, and diagnose again
     /// with what they record. Shards share the number.
     #[arg(long, value_name = "N", default_value_t = 40)]
@@ -90,7 +91,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     diagnose_all(arguments, &folders, &signals)?;
 
     let results = results(&arguments.out)?;
-    let missing = folders.iter().filter(|folder| !results.contains_key(&name(folder))).count();
+    let missing = (0..folders.len()).filter(|k| !is_in(arguments, &results, &folders, *k)).count();
     if signals.raised() && missing > 0 {
         let (done, all) = (folders.len() - missing, folders.len());
         output::line(format!("interrupted: {done} of {all} cases are in; go on with --resume"));
@@ -175,17 +176,27 @@ fn name(folder: &Path) -> String {
     folder.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Diagnoses the shard's cases that are not in yet. Each result is on disk before the next case begins; a case that a
-/// signal interrupts is left for the next run.
+/// Whether everything is in that is asked for of the `k`-th case.
+fn is_in(
+    arguments: &Arguments,
+    results: &BTreeMap<String, CaseResult>,
+    folders: &[PathBuf],
+    k: usize,
+) -> bool {
+    let in_full = |result: &CaseResult| k >= arguments.baselines || !result.baselines.is_empty();
+    results.get(&name(&folders[k])).is_some_and(in_full)
+}
+
+/// Diagnoses the shard's cases that are not in yet, and tries the other methods where they are asked for and have not been.
+/// Each result is on disk before the next case begins; a case that a signal interrupts is left for the next run.
 fn diagnose_all(arguments: &Arguments, folders: &[PathBuf], signals: &Signals) -> Result<(), Failure> {
     let Shard { index, count } = arguments.shard;
     let done = results(&arguments.out)?;
-    let mine = folders.iter().enumerate().filter(|(k, _)| k % count == index - 1).map(|(_, folder)| folder);
-    let mine: Vec<&PathBuf> = mine.collect();
-    let separated = |folder: &&&PathBuf| done.get(&name(folder)).is_some_and(|r| r.separation.is_some());
+    let mine: Vec<usize> = (0..folders.len()).filter(|k| k % count == index - 1).collect();
+    let separated = |k: &&usize| done.get(&name(&folders[**k])).is_some_and(|r| r.separation.is_some());
     let mut to_separate =
         arguments.separate.div_ceil(count).saturating_sub(mine.iter().filter(separated).count());
-    let open: Vec<&PathBuf> = mine.into_iter().filter(|folder| !done.contains_key(&name(folder))).collect();
+    let open: Vec<usize> = mine.into_iter().filter(|k| !is_in(arguments, &done, folders, *k)).collect();
     let path = arguments.out.join(format!("results-{index}-of-{count}.jsonl"));
     let mut file = std::fs::OpenOptions::new()
         .create(true)
@@ -194,10 +205,17 @@ fn diagnose_all(arguments: &Arguments, folders: &[PathBuf], signals: &Signals) -
         .with_context(|| format!("{} cannot be written", path.display()))
         .map_err(Failure::input)?;
     let bar = output::progress("diagnosing", open.len() as u64);
-    for folder in open {
+    for k in open {
+        let folder = &folders[k];
         let out = (to_separate > 0).then_some(arguments.out.as_path());
-        let Some(result) = diagnose_case(folder, arguments.baselines, out, &signals.flag()) else { break };
-        to_separate -= usize::from(result.separation.is_some());
+        let known = done.get(&name(folder)).cloned();
+        let fresh = known.is_none();
+        let Some(mut result) = known.or_else(|| diagnose_case(folder, out, &signals.flag())) else { break };
+        to_separate -= usize::from(fresh && result.separation.is_some());
+        if k < arguments.baselines {
+            let Some(tried) = try_baselines(folder, result, &signals.flag()) else { break };
+            result = tried;
+        }
         // A line break first: a line that an interruption cut short stays alone.
         let line = serde_json::to_string(&result).map_err(Failure::runtime)?;
         file.write_all(format!("\n{line}").as_bytes()).and_then(|()| file.flush()).runtime()?;
@@ -221,8 +239,12 @@ fn results(out: &Path) -> Result<BTreeMap<String, CaseResult>, Failure> {
         let text = std::fs::read_to_string(&path)
             .with_context(|| format!("{} cannot be read", path.display()))
             .map_err(Failure::input)?;
-        let lines = text.lines().filter_map(|line| serde_json::from_str::<CaseResult>(line).ok());
-        all.extend(lines.map(|result| (result.case.clone(), result)));
+        for result in text.lines().filter_map(|line| serde_json::from_str::<CaseResult>(line).ok()) {
+            // One that other methods were tried on later is there twice.
+            if all.get(&result.case).is_none_or(|known: &CaseResult| known.baselines.is_empty()) {
+                all.insert(result.case.clone(), result);
+            }
+        }
     }
     Ok(all)
 }
@@ -257,5 +279,22 @@ mod tests {
         std::fs::write(folder.path().join("results-2-of-2.jsonl"), format!("\n{}", line("c"))).unwrap();
         let found = results(folder.path()).unwrap();
         assert_eq!(found.keys().collect::<Vec<_>>(), ["a", "c"]);
+    }
+
+    #[test]
+    fn other_methods_that_were_tried_later_count() {
+        let folder = tempfile::tempdir().unwrap();
+        let plain = CaseResult { case: "a".into(), seconds: 2.0, ..CaseResult::default() };
+        let tried = CaseResult {
+            baselines: [("nominal refit only".to_owned(), baselines::BaselineResult::default())].into(),
+            ..plain.clone()
+        };
+        let line = |result: &CaseResult| serde_json::to_string(result).unwrap();
+        // In whichever order the files of shards are read.
+        for (first, second) in [(&plain, &tried), (&tried, &plain)] {
+            std::fs::write(folder.path().join("results-1-of-2.jsonl"), line(first)).unwrap();
+            std::fs::write(folder.path().join("results-2-of-2.jsonl"), line(second)).unwrap();
+            assert_eq!(results(folder.path()).unwrap()["a"], tried);
+        }
     }
 }

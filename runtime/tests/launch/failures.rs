@@ -257,8 +257,11 @@ fn nodes_die_with_their_launcher() {
 }
 
 /// Whether a process runs: one that has ended and that nobody has waited for does not.
+/// Whether any of its threads is: the first one may be gone while another one, on its way out, still holds files and locks.
 pub(crate) fn alive(pid: u32) -> bool {
-    std::fs::read_to_string(format!("/proc/{pid}/stat")).is_ok_and(|stat| !stat.contains(") Z "))
+    let threads = std::fs::read_dir(format!("/proc/{pid}/task")).into_iter().flatten().flatten();
+    let stats = threads.filter_map(|thread| std::fs::read_to_string(thread.path().join("stat")).ok());
+    stats.into_iter().any(|stat| !stat.contains(") Z ") && !stat.contains(") X "))
 }
 
 fn a_node_by_hand_is_refused() {

@@ -1,5 +1,7 @@
 //! Other methods on the same cases, each in a file of its own.
 
+use std::sync::atomic::AtomicBool;
+
 use parallax_gap::bind::bind;
 use parallax_gap::innovation::walk;
 use parallax_gap::library;
@@ -38,8 +40,8 @@ pub(crate) struct Baseline {
     pub(crate) name: &'static str,
     /// Whether it names effects; one that does not is scored by the gap that it closes.
     pub(crate) names: bool,
-    /// What it says of a case.
-    pub(crate) answer: fn(&System, &Log) -> anyhow::Result<BaselineResult>,
+    /// What it says of a case; nothing of use once the last is set.
+    pub(crate) answer: fn(&System, &Log, &AtomicBool) -> anyhow::Result<BaselineResult>,
 }
 
 /// All methods.

@@ -82,12 +82,7 @@ pub(crate) struct NamedEffect {
 
 /// Diagnoses the case in `folder`; a failure, a panic included, is a result as well. Given the run's folder, a class of
 /// several effects is put to the experiment that is proposed for it. None where `stop` was set meanwhile.
-pub(crate) fn diagnose_case(
-    folder: &Path,
-    with_baselines: bool,
-    run: Option<&Path>,
-    stop: &Arc<AtomicBool>,
-) -> Option<CaseResult> {
+pub(crate) fn diagnose_case(folder: &Path, run: Option<&Path>, stop: &Arc<AtomicBool>) -> Option<CaseResult> {
     let stopped = || stop.load(Ordering::Relaxed);
     let read = |folder: &Path| {
         let (system, log, options) = read(folder)?;
@@ -119,20 +114,30 @@ pub(crate) fn diagnose_case(
         }
         Err(error) => out.error = Some(format!("{error:#}")),
     }
-    if with_baselines && let Ok((system, log, _)) = read(folder) {
-        for baseline in baselines::ALL {
-            if stopped() {
-                return None;
-            }
-            let start = Instant::now();
-            let mut result = guarded(|| (baseline.answer)(&system, &log)).unwrap_or_else(|error| {
-                BaselineResult { error: Some(format!("{error:#}")), ..Default::default() }
-            });
-            result.seconds = start.elapsed().as_secs_f64();
-            out.baselines.insert(baseline.name.to_owned(), result);
-        }
-    }
     (!stopped()).then_some(out)
+}
+
+/// Tries the other methods on the case in `folder`. None where `stop` was set meanwhile.
+pub(crate) fn try_baselines(
+    folder: &Path,
+    mut result: CaseResult,
+    stop: &Arc<AtomicBool>,
+) -> Option<CaseResult> {
+    let Ok((system, log, _)) = read(folder) else { return Some(result) };
+    for baseline in baselines::ALL {
+        let start = Instant::now();
+        let answer = guarded(|| (baseline.answer)(&system, &log, stop));
+        if stop.load(Ordering::Relaxed) {
+            return None;
+        }
+        let mut said = answer.unwrap_or_else(|error| BaselineResult {
+            error: Some(format!("{error:#}")),
+            ..Default::default()
+        });
+        said.seconds = start.elapsed().as_secs_f64();
+        result.baselines.insert(baseline.name.to_owned(), said);
+    }
+    Some(result)
 }
 
 /// What the case tells: its system, its recording and its options.

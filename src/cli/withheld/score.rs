@@ -1,11 +1,12 @@
 //! The scores of a run: goals beside results, groups, confusion.
 
+mod others;
+
 use std::collections::BTreeMap;
 
 use parallax_withheld_truth::Set;
 use serde::Serialize;
 
-use super::baselines::{self, BaselineResult};
 use super::case::CaseResult;
 use super::judge::Case;
 use super::seal::Answers;
@@ -166,7 +167,7 @@ impl Scores {
             development: answers.development,
             sets,
             lines: lines(&cases),
-            baselines: baselines_of(&cases),
+            baselines: others::lines(&cases),
             by_system: groups(&singles, |case| case.truth.answer.system.clone()),
             by_effect: groups(&singles, |case| {
                 case.truth.answer.effects.first().map(|e| e.name.clone()).unwrap_or_default()
@@ -394,58 +395,6 @@ fn bins(singles: &[Case]) -> Vec<Group> {
         (!cases.is_empty()).then(|| group(name, &cases))
     };
     (0..BINS.len()).filter_map(bin).collect()
-}
-
-/// The other methods by what of a diagnosis they give.
-fn baselines_of(cases: &[Case]) -> BTreeMap<String, Vec<Line>> {
-    let mut all = BTreeMap::new();
-    for baseline in baselines::ALL {
-        let said = |set: Set| -> Vec<(Case, &BaselineResult)> {
-            let of = of_set(cases, set).into_iter();
-            of.filter_map(|case| Some((case, case.result.baselines.get(baseline.name)?))).collect()
-        };
-        let (singles, nulls) = (said(Set::Single), said(Set::Null));
-        if singles.is_empty() && nulls.is_empty() {
-            continue;
-        }
-        let top = |k: usize| {
-            let right = |(case, result): &(Case, &BaselineResult)| {
-                result.detected && result.ranking.iter().take(k).any(|label| case.class().contains(label))
-            };
-            share(&singles.iter().map(right).collect::<Vec<_>>())
-        };
-        let detected = |from: &[(Case, &BaselineResult)]| {
-            share(&from.iter().map(|(_, result)| result.detected).collect::<Vec<_>>())
-        };
-        let closed: Vec<f64> = singles
-            .iter()
-            .filter(|(case, _)| case.can_lower() && detectable(case))
-            // One that failed closes nothing.
-            .filter_map(|(_, result)| result.closed.or(result.error.as_ref().map(|_| 0.0)))
-            .collect();
-        let both: Vec<(Case, &BaselineResult)> = singles.iter().chain(&nulls).copied().collect();
-        let seconds: Vec<f64> = both.iter().map(|(_, result)| result.seconds).collect();
-        let failed = rate_of(&both, |result| result.error.is_some());
-        let line = |name, unit, score| Line { name, goal: None, score, unit };
-        let mut lines = if baseline.names {
-            vec![
-                line("false alarms, null", Unit::Percent, detected(&nulls)),
-                line("detection, singles", Unit::Percent, detected(&singles)),
-                line("cause, class, top 1, singles", Unit::Percent, top(1)),
-                line("cause, class, top 2, singles", Unit::Percent, top(2)),
-            ]
-        } else {
-            vec![line(NOMINAL_CLOSED, Unit::Plain, median_of(&closed))]
-        };
-        lines.push(line("failed", Unit::Percent, failed));
-        lines.push(line("time, median", Unit::Seconds, median_of(&seconds)));
-        all.insert(baseline.name.to_owned(), lines);
-    }
-    all
-}
-
-fn rate_of(from: &[(Case, &BaselineResult)], is: impl Fn(&BaselineResult) -> bool) -> Score {
-    share(&from.iter().map(|(_, result)| is(result)).collect::<Vec<_>>())
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 use parallax_withheld_truth::{Answer, Plan, Truth};
 
 use super::*;
+use crate::cli::withheld::baselines::BaselineResult;
 use crate::cli::withheld::case::{Finding, NamedAnswer, NamedEffect};
 use crate::cli::withheld::seal::Sealed;
 use crate::cli::withheld::separate::Separation;
@@ -236,7 +237,7 @@ fn experiments_by_hand() {
 }
 
 #[test]
-fn another_method_that_fails_closes_nothing() {
+fn another_method_stands_beside_the_diagnosis_of_the_same_cases_and_closes_nothing_where_it_fails() {
     let name = "nominal refit only";
     let with = |result: BaselineResult| CaseResult {
         baselines: BTreeMap::from([(name.to_owned(), result)]),
@@ -248,12 +249,18 @@ fn another_method_that_fails_closes_nothing() {
         (single(), with(BaselineResult { closed: Some(0.6), ..BaselineResult::default() })),
         (single(), with(failed.clone())),
         (truth(Set::Null, &[], &[], 0.0), with(failed)),
+        // Nothing else was tried on it.
+        (single(), found(true, &[(&[LAG], 0.9)], 0.0, 0.0)),
     ]);
     let of = |line: &str| scores.baselines[name].iter().find(|l| l.name == line).unwrap().score;
     let closed = of(NOMINAL_CLOSED);
     assert_eq!((closed.value, closed.count), (Some(0.3), 2));
     assert_eq!((of("failed").value, of("failed").count), (Some(2.0 / 3.0), 3));
     assert_eq!(scores.failures.len(), 2);
+    let own = |line: &str| scores.baselines["The diagnosis"].iter().find(|l| l.name == line).unwrap().score;
+    let right = own("cause, class, top 1, singles");
+    assert_eq!((right.value, right.count), (Some(1.0), 2));
+    assert_eq!(own("false alarms, null").count, 1);
 }
 
 #[test]

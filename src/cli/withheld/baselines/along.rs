@@ -1,57 +1,72 @@
 //! Derivatives of a state by θ along a run.
 
-use parallax_gap::simulator::{Run, Transition};
+use parallax_gap::simulator::{At, Gradient, LANES, Motion, Run};
+use parallax_model::lanes::F64x16;
 
-/// A state with its derivatives by θ.
+/// A state with its derivatives by θ, on the first lane.
 pub(super) struct Along {
-    /// The state.
-    pub(super) x: Vec<f64>,
-    /// Its derivatives, states × parameters.
-    by: Vec<f64>,
-    parameters: usize,
-    transition: Transition,
+    motion: Motion,
+    gradient: Gradient,
+    /// How many of θ are the model's own; those after them are where the run began.
+    own: usize,
 }
 
 impl Along {
     /// A state that does not depend on the model's `parameters`. Its first `free` entries are parameters themselves, after
     /// those of the model.
-    pub(super) fn new(x: Vec<f64>, parameters: usize, free: usize) -> Self {
-        let all = parameters + free;
-        let mut by = vec![0.0; x.len() * all];
-        for state in 0..free {
-            by[state * all + parameters + state] = 1.0;
+    pub(super) fn new(x: &[f64], parameters: usize, free: usize) -> Self {
+        let mut motion = Motion::new(x.len(), free, parameters);
+        for (lanes, value) in motion.x.iter_mut().zip(x) {
+            *lanes = F64x16::splat(*value);
         }
-        Along { by, x, parameters: all, transition: Transition::default() }
+        motion.seed();
+        Along { motion, gradient: Gradient::default(), own: parameters }
     }
 
     /// Puts the first states where they were measured to be.
     pub(super) fn set(&mut self, measured: &[f64]) {
-        self.x[..measured.len()].copy_from_slice(measured);
-        self.by[..measured.len() * self.parameters].fill(0.0);
+        let columns = self.motion.columns;
+        for (state, value) in measured.iter().enumerate() {
+            self.motion.x[state] = F64x16::splat(*value);
+            self.motion.by[state * columns..(state + 1) * columns].fill(F64x16::splat(0.0));
+            self.motion.live[state] = Default::default();
+        }
     }
 
     /// Takes the state from event `index` to the next one.
     pub(super) fn advance(&mut self, run: &mut dyn Run, index: usize) {
-        let n = self.x.len();
-        run.advance(index, &mut self.x, &mut self.transition);
-        let own = self.transition.by_parameter.len() / n.max(1);
-        let mut next = vec![0.0; self.by.len()];
-        for (state, row) in next.chunks_mut(self.parameters.max(1)).enumerate() {
-            for (j, entry) in row.iter_mut().enumerate() {
-                let direct = if j < own { self.transition.by_parameter[state * own + j] } else { 0.0 };
-                *entry = direct + self.through(&self.transition.by_state[state * n..(state + 1) * n], j);
-            }
-        }
-        self.by = next;
+        run.advance_lanes(&only(index), &mut self.motion);
     }
 
-    /// The derivative by θ of what depends on the state by `slopes`; not finite where a run has gone astray.
-    pub(super) fn through(&self, slopes: &[f64], parameter: usize) -> f64 {
-        slopes.iter().enumerate().map(|(i, s)| s * self.by[i * self.parameters + parameter]).sum()
+    /// A state.
+    pub(super) fn state(&self, state: usize) -> f64 {
+        self.motion.x[state][0]
     }
 
-    /// The derivative of one state by θ.
+    /// The derivative of a state by one of θ; not finite where a run has gone astray.
     pub(super) fn slope(&self, state: usize, parameter: usize) -> f64 {
-        self.by[state * self.parameters + parameter]
+        self.motion.by[state * self.motion.columns + self.column(parameter)][0]
     }
+
+    /// What the reading of event `index` is predicted to be; its derivatives are [`Along::of_reading`] then.
+    pub(super) fn read(&mut self, run: &mut dyn Run, index: usize) -> f64 {
+        run.observe_lanes(&only(index), &self.motion, &mut self.gradient)[0]
+    }
+
+    /// The derivative of what was read last by one of θ.
+    pub(super) fn of_reading(&self, parameter: usize) -> f64 {
+        self.gradient.by.get(self.column(parameter)).map_or(0.0, |by| by[0])
+    }
+
+    /// Where a walk has the derivatives by one of θ: those by its beginning come first.
+    fn column(&self, parameter: usize) -> usize {
+        let seeds = self.motion.seeds;
+        if parameter < self.own { seeds + parameter } else { parameter - self.own }
+    }
+}
+
+fn only(index: usize) -> At {
+    let mut at = [None; LANES];
+    at[0] = Some(index);
+    at
 }

@@ -1,5 +1,7 @@
 //! Effects ranked by the Bayesian information criterion (Schwarz, Annals of Statistics 6, 1978) of a sum of squares.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use parallax_gap::fit::{Local, minimise};
 use parallax_gap::hypothesis::{Fitted, Hypothesis};
 use parallax_gap::library;
@@ -9,18 +11,19 @@ use rayon::prelude::*;
 
 use super::BaselineResult;
 
-/// Gauss–Newton steps from each start.
+/// Gauss–Newton steps in all, and those from each start.
 const ITERATIONS: usize = 12;
+const FEW: usize = 3;
 
 /// How many effects are named.
 const NAMED: usize = 3;
 
 /// How a method turns a model into residuals.
-pub(super) struct Method {
+pub(super) struct Method<'a> {
     /// What is fitted beside the hypothesis' own parameters, such as where a simulation begins.
-    pub(super) nuisances: fn(&Setup) -> Vec<Fitted>,
-    /// The residuals at θ, with the nuisances after the hypothesis' parameters.
-    pub(super) residuals: fn(&Setup, &dyn Simulator, &[f64]) -> Squares,
+    pub(super) nuisances: Vec<Fitted>,
+    /// The residuals of a model at θ, with the nuisances after the hypothesis' parameters.
+    pub(super) residuals: &'a (dyn Fn(&dyn Simulator, &[f64]) -> Squares + Sync),
 }
 
 /// A sum of squared residuals with its derivatives.
@@ -66,13 +69,15 @@ impl Squares {
     }
 }
 
-/// Effects by criterion; a gap is said to be where one of them is below the refitted nominal system.
-pub(super) fn rank(setup: &Setup, method: &Method) -> BaselineResult {
+/// Effects by criterion; a gap is said to be where one of them is below the refitted nominal system. Once `stop` is set,
+/// what is left of them is not tried.
+pub(super) fn rank(setup: &Setup, method: &Method<'_>, stop: &AtomicBool) -> BaselineResult {
     let (candidates, _) = library::candidates(setup);
     let of = |hypothesis: Hypothesis| criterion(setup, &hypothesis, method);
     let null = of(library::hypothesis(setup, &[]));
     let mut ranked: Vec<(f64, String)> = candidates
         .par_iter()
+        .filter(|_| !stop.load(Ordering::Relaxed))
         .map(|at| (of(library::hypothesis(setup, std::slice::from_ref(at))), at.label()))
         .collect();
     ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -89,17 +94,21 @@ pub(super) fn rank(setup: &Setup, method: &Method) -> BaselineResult {
 }
 
 /// N log(SSE/N) + p log N at the best of the hypothesis' starts.
-fn criterion(setup: &Setup, hypothesis: &Hypothesis, method: &Method) -> f64 {
+fn criterion(setup: &Setup, hypothesis: &Hypothesis, method: &Method<'_>) -> f64 {
     let simulator = library::simulator(setup, hypothesis, Vec::new());
-    let nuisances = (method.nuisances)(setup);
+    let nuisances = &method.nuisances;
     let mut fitted = hypothesis.fitted.clone();
     fitted.extend(nuisances.iter().cloned());
-    let fits = hypothesis.starts().into_iter().map(|mut start| {
+    let loss = |theta: &[f64], _| (method.residuals)(&simulator, theta).local();
+    let from = |start: &[f64], steps: usize| minimise(&fitted, start, steps, loss);
+    let starts = hypothesis.starts().into_iter().map(|mut start| {
         start.extend(nuisances.iter().map(|f| f.null));
-        let loss = |theta: &[f64], _| (method.residuals)(setup, &simulator, theta).local();
-        let theta = minimise(&fitted, &start, ITERATIONS, loss).theta;
-        let squares = (method.residuals)(setup, &simulator, &theta);
-        squares.local().cost + fitted.len() as f64 * squares.count.max(1.0).ln()
+        start
     });
-    fits.fold(f64::INFINITY, f64::min)
+    // A few steps tell which of several starts is worth the rest.
+    let tried = starts.map(|start| from(&start, FEW)).min_by(|a, b| a.cost.total_cmp(&b.cost));
+    let Some(tried) = tried else { return f64::INFINITY };
+    let theta = from(&tried.theta, ITERATIONS - FEW).theta;
+    let squares = (method.residuals)(&simulator, &theta);
+    squares.local().cost + fitted.len() as f64 * squares.count.max(1.0).ln()
 }

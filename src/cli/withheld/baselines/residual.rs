@@ -1,5 +1,7 @@
 //! Black-box residual: a flexible force or reading on top of the refitted nominal system. It closes a gap and names nothing.
 
+use std::sync::atomic::AtomicBool;
+
 use parallax_gap::search;
 use parallax_gap::unknown::{choose, fit_unknown, kinds};
 use parallax_model::system::System;
@@ -8,7 +10,7 @@ use parallax_runtime::recording::log::Log;
 use super::{BaselineResult, closed_from_nominal, setup};
 
 /// The kind of residual that predicts short windows better.
-pub(super) fn answer(system: &System, log: &Log) -> anyhow::Result<BaselineResult> {
+pub(super) fn answer(system: &System, log: &Log, _stop: &AtomicBool) -> anyhow::Result<BaselineResult> {
     let setup = setup(system, log)?;
     let null = search::null(&setup);
     let fits = kinds(&setup)

@@ -1,8 +1,10 @@
 //! Full-simulation error and BIC: every effect is fitted to the whole recording, simulated from its first state.
 
+use std::sync::atomic::AtomicBool;
+
 use parallax_gap::hypothesis::{Fitted, Prior, Slot};
 use parallax_gap::setup::Setup;
-use parallax_gap::simulator::{Prediction, Simulator, wrapped};
+use parallax_gap::simulator::{Simulator, wrapped};
 use parallax_model::system::System;
 use parallax_runtime::recording::log::Log;
 
@@ -13,8 +15,16 @@ use super::{BaselineResult, setup};
 /// Residual of a simulation that runs away, in noise units.
 const RUNAWAY: f64 = 1e6;
 
-pub(super) fn answer(system: &System, log: &Log) -> anyhow::Result<BaselineResult> {
-    Ok(rank(&setup(system, log)?, &Method { nuisances: initial, residuals: error }))
+pub(super) fn answer(system: &System, log: &Log, stop: &AtomicBool) -> anyhow::Result<BaselineResult> {
+    let setup = setup(system, log)?;
+    Ok(rank(
+        &setup,
+        &Method {
+            nuisances: initial(&setup),
+            residuals: &|simulator, theta| error(&setup, simulator, theta),
+        },
+        stop,
+    ))
 }
 
 /// Where the simulation begins: around what the first readings say.
@@ -47,19 +57,19 @@ fn error(setup: &Setup, simulator: &dyn Simulator, theta: &[f64]) -> Squares {
     let mut run = simulator.run(&theta[..own]);
     let count = run.events().len();
     let begin = run.events().iter().position(|event| event.time >= first.from).unwrap_or(0);
-    let mut along = Along::new(simulator.start(&theta[own..], first.guess.std(), first.from).0, own, p - own);
-    let mut prediction = Prediction::default();
+    let start = simulator.start(&theta[own..], first.guess.std(), first.from).0;
+    let mut along = Along::new(&start, own, p - own);
     for index in begin..count {
         if let Some(reading) = run.events()[index].reading {
-            run.observe(index, &along.x, &mut prediction);
+            let predicted = along.read(&mut *run, index);
             let unit = setup.output_noise[reading.output];
-            let off = wrapped(reading.value - prediction.value, run.wrap(reading.output)) / unit;
+            let off = wrapped(reading.value - predicted, run.wrap(reading.output)) / unit;
             let astray = !(off.is_finite() && off.abs() < RUNAWAY);
             let slope: Vec<f64> = (0..p)
                 .map(|j| {
-                    let total = along.through(&prediction.by_state, j)
-                        + prediction.by_parameter.get(j).copied().unwrap_or(0.0);
-                    if astray || !total.is_finite() { 0.0 } else { -total / unit }
+                    Some(along.of_reading(j))
+                        .filter(|by| !astray && by.is_finite())
+                        .map_or(0.0, |by| -by / unit)
                 })
                 .collect();
             squares.add(if astray { RUNAWAY } else { off }, &slope);
