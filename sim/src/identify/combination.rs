@@ -4,11 +4,12 @@
 //! logarithms: a product of powers is then a plain combination with whole exponents. Of all such combinations with small
 //! exponents those are named that do not move along any of these directions, the simplest first.
 
-use nalgebra::{DMatrix, DVector, SymmetricEigen};
+use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
 use super::around::Around;
 use super::coordinate::Sort;
+use super::spread::Spread;
 
 /// What is determined together, where the single numbers are not.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -34,41 +35,12 @@ pub(super) struct Member<'a> {
     pub(super) slope: f64,
 }
 
-/// How sure the coordinates are, which stand in widths of their bounds.
-pub(super) struct Spread {
-    /// Their covariance; directions without any information are as wide as [`OPEN`].
-    pub(super) covariance: DMatrix<f64>,
-}
-
-/// What the data say nothing of has this standard deviation, in widths of the bounds.
-const OPEN: f64 = 1e3;
-/// What has a larger one is not determined: it could be anywhere between its bounds.
-const LOOSE: f64 = 1.0;
 /// A combination is determined where its standard deviation is below this: of the logarithm of a product, or in widths of
 /// the bounds of delays.
 const FIRM: f64 = 0.25;
 
 /// A sum of delays is named where its standard deviation is below this share of what the single ones' would make it.
 const BETTER: f64 = 0.25;
-
-impl Spread {
-    /// Of this information.
-    pub(super) fn new(information: &DMatrix<f64>) -> Self {
-        let SymmetricEigen { eigenvectors, eigenvalues } = information.clone().symmetric_eigen();
-        let inverse = eigenvalues.map(|value| 1.0 / (value.max(0.0) + OPEN.powi(-2)));
-        Self { covariance: &eigenvectors * DMatrix::from_diagonal(&inverse) * eigenvectors.transpose() }
-    }
-
-    /// The standard deviation of a coordinate, in widths of its bounds.
-    pub(super) fn std(&self, index: usize) -> f64 {
-        self.covariance[(index, index)].max(0.0).sqrt()
-    }
-
-    /// Whether the data determine a coordinate by itself.
-    pub(super) fn determines(&self, index: usize) -> bool {
-        self.std(index) < LOOSE
-    }
-}
 
 /// The combinations that are determined of numbers that are not, and which numbers those are.
 pub(super) fn combinations(

@@ -27,6 +27,7 @@ mod outcome;
 mod problem;
 mod simulators;
 mod spec;
+mod spread;
 
 use std::ops::ControlFlow;
 

@@ -1,16 +1,17 @@
 //! What was found, how sure it is, and how well it predicts.
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use parallax_model::fit::{Best, Local, Stop};
 use serde::{Deserialize, Serialize};
 
 use super::around::all_around;
-use super::combination::{Combination, Member, Spread, combinations};
+use super::combination::{Combination, Member, combinations};
 use super::coordinate::Sort;
 use super::error::IdentifyError;
-use super::evaluate::{Evaluator, Fit, Scattered, wrapped};
+use super::evaluate::{Evaluator, Fit, Model, Scattered, wrapped};
 use super::location::{Location, Moment, locations};
 use super::problem::Problem;
+use super::spread::{Part, Spread};
 
 /// The result of an identification.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -117,17 +118,14 @@ pub(super) fn outcome(
         false => Some(evaluator.scattered(best)?),
     };
     let best = scattered.as_ref().map_or(best, |scattered| &scattered.best);
-    let (local, coefficients, information) = match &scattered {
-        Some(Scattered { local, coefficients, .. }) => {
-            let all = local.gradient.len();
-            let information = DMatrix::from_row_slice(all, all, &local.information);
-            (local.clone(), coefficients.clone(), information)
+    let (local, coefficients, inflation, parts) = match &scattered {
+        Some(Scattered { local, coefficients, parts, .. }) => {
+            (local.clone(), coefficients.clone(), 1.0, parts.clone())
         }
         None => {
-            let models = evaluator.models(std::slice::from_ref(&best.point), 1.0)?;
-            let (local, fit) = models.into_iter().next().ok_or(IdentifyError::NotFinite)?;
-            let information = weighted(problem, &local, &fit);
-            (local, fit.coefficients, information)
+            let Model { local, fit, parts } = evaluator.explained(&best.point)?;
+            let inflation = inflation(problem, local.gradient.len(), &fit);
+            (local, fit.coefficients, inflation, parts)
         }
     };
     if !local.is_finite() {
@@ -146,6 +144,7 @@ pub(super) fn outcome(
 
     let n = values.len();
     let all = n + linear.len();
+    let information = DMatrix::from_row_slice(all, all, &local.information) / inflation;
     // Linear coefficients have no bounds to compare with; their uncertainty without that of the others is.
     let scale: Vec<f64> = (0..all)
         .map(|i| match i < n {
@@ -153,8 +152,15 @@ pub(super) fn outcome(
             false => LOOSE_COEFFICIENT / information[(i, i)].sqrt().max(f64::MIN_POSITIVE),
         })
         .collect();
-    let scaled = DMatrix::from_fn(all, all, |i, j| information[(i, j)] * scale[i] * scale[j]);
-    let spread = Spread::new(&scaled);
+    let scaled = |information: &[f64]| {
+        DMatrix::from_fn(all, all, |i, j| information[i * all + j] * scale[i] * scale[j])
+    };
+    let part = |part: &Local| Part {
+        information: scaled(&part.information),
+        gradient: DVector::from_fn(all, |i, _| part.gradient[i] * scale[i]),
+    };
+    let parts: Vec<Part> = parts.iter().map(part).collect();
+    let spread = Spread::of_parts(&(scaled(&local.information) / inflation), inflation, &parts);
 
     let mut members: Vec<Member<'_>> = Vec::new();
     for (coordinate, (value, slope)) in problem.coordinates.iter().zip(&values) {
@@ -280,22 +286,19 @@ fn leave_open_what_only_a_sum_tells(estimates: &mut [Estimate], combinations: &[
     }
 }
 
-/// The information with the noise that is there: where predictions err by more than declared, their errors count.
-fn weighted(problem: &Problem, local: &Local, fit: &Fit) -> DMatrix<f64> {
-    let all = local.gradient.len();
-    let information = DMatrix::from_row_slice(all, all, &local.information);
+/// How much larger than declared the noise is that is there: where predictions err by more, their errors count.
+fn inflation(problem: &Problem, all: usize, fit: &Fit) -> f64 {
     let samples: usize = fit.samples.iter().sum();
     let freedom = samples.saturating_sub(all).max(1) as f64;
     let declared = problem.outputs.iter().zip(&fit.squares).map(|(output, squares)| match output.noise {
         Some(noise) => squares / (noise * noise),
         None => 0.0,
     });
-    let inflation = match problem.outputs.iter().all(|output| output.noise.is_some()) {
+    match problem.outputs.iter().all(|output| output.noise.is_some()) {
         true => (declared.sum::<f64>() / freedom).max(1.0),
         // The estimated noise is that of the residuals, which the fit has made smaller.
         false => samples as f64 / freedom,
-    };
-    information / inflation
+    }
 }
 
 fn remarks(estimates: &[Estimate], involved: &[usize], combinations: &[Combination]) -> Vec<String> {

@@ -16,6 +16,7 @@ use super::error::IdentifyError;
 use super::problem::{Compared, Problem};
 use crate::batch::{Batch, BatchError, Environments, Given, Made, Passes, Place};
 
+pub(super) use model::Model;
 pub(super) use scatter::Scattered;
 use stretch::{Carried, Stretches, settles};
 pub(super) use sums::Fit;

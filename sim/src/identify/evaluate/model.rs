@@ -11,6 +11,20 @@ use super::{Evaluator, Fit, wrapped};
 use crate::batch::BatchError;
 use crate::identify::problem::Compared;
 
+/// Into how many parts the time of all recordings is cut to see how much what they say differs: each longer than what
+/// predictions lack is alike, and enough of them to tell.
+pub(super) const PARTS: usize = 40;
+
+/// The loss around a point.
+pub(in crate::identify) struct Model {
+    /// The Gauss–Newton model by coordinates and then linear coefficients.
+    pub(in crate::identify) local: Local,
+    /// What predictions sum up to.
+    pub(in crate::identify) fit: Fit,
+    /// What each part of the recordings' time adds to the model, priors apart; none where it was not asked for.
+    pub(in crate::identify) parts: Vec<Local>,
+}
+
 impl Evaluator<'_> {
     /// The losses with their Gauss–Newton models, linear coefficients eliminated, by exact derivatives. Whole recordings
     /// alone.
@@ -19,7 +33,13 @@ impl Evaluator<'_> {
     ///
     /// [`BatchError`] where the points cannot be put into the graph.
     pub fn exact_locals(&self, points: &[Vec<f64>], share: f64) -> Result<Vec<Local>, BatchError> {
-        Ok(self.eliminated(&self.models(points, share)?))
+        let stretches = self.stretches(View::whole(share));
+        let traces = self.traces(points, &stretches)?;
+        let linear: usize = self.problem.outputs.iter().map(|output| output.terms.len()).sum();
+        let each = traces.par_iter().zip(points);
+        Ok(each
+            .map(|(traces, point)| eliminate(&self.model(traces, point, &stretches, 1).local, linear))
+            .collect())
     }
 
     /// As [`exact_locals`](Self::exact_locals), by differences and in pieces as well: a point and its neighbours run on lanes
@@ -32,52 +52,51 @@ impl Evaluator<'_> {
         let stretches = self.stretches(view);
         let linear: usize = self.problem.outputs.iter().map(|output| output.terms.len()).sum();
         self.differences(points, &stretches, |traces, point| {
-            eliminate(&self.model(traces, point, &stretches).0, linear)
+            eliminate(&self.model(traces, point, &stretches, 1).local, linear)
         })
     }
 
-    /// The losses with their Gauss–Newton models by coordinates and then linear coefficients, and the fits.
-    pub(in crate::identify) fn models(
-        &self,
-        points: &[Vec<f64>],
-        share: f64,
-    ) -> Result<Vec<(Local, Fit)>, BatchError> {
-        let stretches = self.stretches(View::whole(share));
-        let traces = self.traces(points, &stretches)?;
-        let each = traces.par_iter().zip(points);
-        Ok(each.map(|(traces, point)| self.model(traces, point, &stretches)).collect())
+    /// The loss with its Gauss–Newton model by coordinates and then linear coefficients, over whole recordings, and what each
+    /// part of their time adds to it.
+    pub(in crate::identify) fn explained(&self, point: &[f64]) -> Result<Model, BatchError> {
+        let stretches = self.stretches(View::whole(1.0));
+        let traces = self.traces(std::slice::from_ref(&point.to_vec()), &stretches)?;
+        let traces = traces.into_iter().next().unwrap_or_default();
+        Ok(self.model(&traces, point, &stretches, PARTS.div_ceil(self.problem.episodes)))
     }
 
-    fn eliminated(&self, models: &[(Local, Fit)]) -> Vec<Local> {
-        let linear: usize = self.problem.outputs.iter().map(|output| output.terms.len()).sum();
-        models.par_iter().map(|(local, _)| eliminate(local, linear)).collect()
-    }
-
-    fn model(&self, traces: &[Trace<'_>], point: &[f64], stretches: &Stretches) -> (Local, Fit) {
+    /// With what each of so many equal parts of a recording's time adds, where these are several.
+    fn model(&self, traces: &[Trace<'_>], point: &[f64], stretches: &Stretches, parts: usize) -> Model {
         let problem = self.problem;
         let n = self.width(stretches);
         let linear: usize = problem.outputs.iter().map(|output| output.terms.len()).sum();
         let all = n + linear;
         let mut total = Local::zero(all);
+        let mut alone = if parts > 1 { vec![Local::zero(all); parts * traces.len()] } else { Vec::new() };
         let mut fit = Fit { coefficients: Vec::new(), squares: Vec::new(), samples: Vec::new() };
         let mut column = n;
         for (index, output) in problem.outputs.iter().enumerate() {
             let coefficients = self.solve(index, traces, stretches);
-            let parts: Vec<Part> = traces
+            let of_traces: Vec<Vec<Part>> = traces
                 .par_iter()
                 .zip(&stretches.all)
-                .map(|(trace, stretch)| part(output, index, &coefficients, trace, stretch))
+                .map(|(trace, stretch)| in_parts(output, index, &coefficients, (trace, stretch), parts))
                 .collect();
-            let squares: f64 = parts.iter().map(|part| part.squares).sum();
-            let samples = parts.iter().map(|part| part.samples).sum();
+            let squares: f64 = of_traces.iter().flatten().map(|part| part.squares).sum();
+            let samples = of_traces.iter().flatten().map(|part| part.samples).sum();
             let weight = match output.noise {
                 Some(noise) => 1.0 / (noise * noise),
                 None => samples as f64 / squares.max(f64::MIN_POSITIVE),
             };
-            for (part, trace) in parts.iter().zip(traces) {
+            for (number, (of_trace, trace)) in of_traces.iter().zip(traces).enumerate() {
                 let w = trace.columns.len();
                 let place = |i: usize| if i < w { trace.columns[i] } else { column + i - w };
-                add(&mut total, &part.gradient, &part.information, weight, place);
+                for (k, part) in of_trace.iter().enumerate() {
+                    add(&mut total, &part.gradient, &part.information, weight, place);
+                    if let Some(alone) = alone.get_mut(number * parts + k) {
+                        add(alone, &part.gradient, &part.information, weight, place);
+                    }
+                }
             }
             column += output.terms.len();
             fit.coefficients.push(coefficients);
@@ -92,7 +111,7 @@ impl Evaluator<'_> {
                 total.gradient[i] += (z - mean) / (std * std);
             }
         }
-        (total, fit)
+        Model { local: total, fit, parts: alone }
     }
 
     /// What it costs that pieces do not begin where those before them end, put into the model as well.
@@ -148,17 +167,29 @@ struct Part {
     samples: usize,
 }
 
-fn part(output: &Compared, index: usize, coefficients: &[f64], trace: &Trace<'_>, stretch: &Stretch) -> Part {
+/// What each of so many equal parts of a stretch's time adds.
+fn in_parts(
+    output: &Compared,
+    index: usize,
+    coefficients: &[f64],
+    (trace, stretch): (&Trace<'_>, &Stretch),
+    count: usize,
+) -> Vec<Part> {
     let (w, k) = (trace.columns.len(), coefficients.len());
     let width = w + k;
-    let mut part =
-        Part { gradient: vec![0.0; width], information: vec![0.0; width * width], squares: 0.0, samples: 0 };
+    let none = || Part {
+        gradient: vec![0.0; width],
+        information: vec![0.0; width * width],
+        squares: 0.0,
+        samples: 0,
+    };
+    let mut parts: Vec<Part> = (0..count).map(|_| none()).collect();
     let predicted = &trace.outputs[index];
     let recorded = &output.values[stretch.episode][stretch.steps[index].clone()];
     let mut rows = vec![0.0; width * recorded.len()];
     predicted.derive(coefficients, &mut rows, width);
     let steps = predicted.values.chunks_exact(predicted.width).zip(rows.chunks_exact_mut(width));
-    for ((terms, row), value) in steps.zip(recorded) {
+    for (at, ((terms, row), value)) in steps.zip(recorded).enumerate() {
         if !value.is_finite() {
             continue;
         }
@@ -169,11 +200,12 @@ fn part(output: &Compared, index: usize, coefficients: &[f64], trace: &Trace<'_>
         let residual = wrapped(value - prediction, output.wrap);
         row[w..].copy_from_slice(if k == 0 { &[] } else { terms });
         // The rows are derivatives of the prediction; the residual's have the other sign.
-        Level::widest().run(Outer { row, residual: -residual, part: &mut part });
+        let part = &mut parts[at * count / recorded.len()];
+        Level::widest().run(Outer { row, residual: -residual, part });
         part.squares += residual * residual;
         part.samples += 1;
     }
-    part
+    parts
 }
 
 /// Adds a row times itself, and times its residual.

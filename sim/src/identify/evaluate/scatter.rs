@@ -16,6 +16,7 @@ use nalgebra::{DMatrix, DVector};
 use parallax_model::fit::separable::eliminate;
 use parallax_model::fit::{Best, Bounds, Local, View, bounded_step};
 
+use super::model::PARTS;
 use super::stretch::Stretches;
 use super::traces::Trace;
 use super::{Evaluator, wrapped};
@@ -39,6 +40,8 @@ pub(in crate::identify) struct Scattered {
     pub(in crate::identify) best: Best,
     /// The model there, by coordinates and then linear coefficients.
     pub(in crate::identify) local: Local,
+    /// What each part of the recordings' time adds to it.
+    pub(in crate::identify) parts: Vec<Local>,
     /// Linear coefficients, per output.
     pub(in crate::identify) coefficients: Vec<Vec<f64>>,
     /// Per delay that scatters: its spread, s, and the standard deviation of its square, s².
@@ -65,6 +68,8 @@ impl Variances {
 /// Everything at one point under some variances.
 struct Seen {
     local: Local,
+    /// What each part of the recordings' time adds to it, priors apart.
+    parts: Vec<Local>,
     coefficients: Vec<Vec<f64>>,
     /// Scores and information of the variances: delays, then outputs.
     score: Vec<f64>,
@@ -149,6 +154,7 @@ impl Evaluator<'_> {
             spreads: spreads.collect(),
             coefficients: now.coefficients,
             local: now.local,
+            parts: now.parts,
         })
     }
 
@@ -227,7 +233,8 @@ impl Evaluator<'_> {
         let linear: usize = problem.outputs.iter().map(|output| output.terms.len()).sum();
         let all = n + linear;
         let (delays, outputs) = (problem.scattered.len(), problem.outputs.len());
-        let mut local = Local::zero(all);
+        let of_episode = PARTS.div_ceil(problem.episodes);
+        let mut parts = vec![Local::zero(all); of_episode * problem.episodes];
         let mut score = vec![0.0; delays + outputs];
         let mut information = DMatrix::zeros(delays + outputs, delays + outputs);
         // Where an output's coefficients begin.
@@ -257,6 +264,9 @@ impl Evaluator<'_> {
                 continue;
             }
             let size = present.len();
+            let steps = &stretches.all[episode].steps[own[0]];
+            let part = (step - steps.start) * of_episode / steps.len();
+            let local = &mut parts[episode * of_episode + part];
             let mut rows = DMatrix::<f64>::zeros(size, all + 1);
             let mut towards = DMatrix::<f64>::zeros(size, delays);
             for (k, &index) in present.iter().enumerate() {
@@ -332,10 +342,16 @@ impl Evaluator<'_> {
                 }
             }
         }
-        for i in 0..all {
-            for j in 0..i {
-                local.information[j * all + i] = local.information[i * all + j];
+        let mut local = Local::zero(all);
+        for part in &mut parts {
+            for i in 0..all {
+                for j in 0..i {
+                    part.information[j * all + i] = part.information[i * all + j];
+                }
             }
+            local.cost += part.cost;
+            local.information.iter_mut().zip(&part.information).for_each(|(sum, value)| *sum += value);
+            local.gradient.iter_mut().zip(&part.gradient).for_each(|(sum, value)| *sum += value);
         }
         local.cost += self.prior(point);
         for (i, (coordinate, z)) in problem.coordinates.iter().zip(point).enumerate() {
@@ -353,7 +369,7 @@ impl Evaluator<'_> {
             information.column_mut(k).fill(0.0);
             information[(k, k)] = 1.0;
         }
-        Seen { local, coefficients: coefficients.to_vec(), score, information }
+        Seen { local, parts, coefficients: coefficients.to_vec(), score, information }
     }
 }
 
