@@ -101,6 +101,8 @@ fn two_cases_are_made_sealed_diagnosed_and_scored() {
     let results = fs::read_to_string(result_file(&out)).unwrap();
     let (kept, _) = results.trim_start().split_once('\n').unwrap();
     fs::write(result_file(&out), format!("{kept}\n{{\"case\": \"cut sho")).unwrap();
+    // Its cases are made again where they are gone.
+    fs::remove_dir_all(out.join("cases")).unwrap();
     let resumed = scores(&withheld(&out, &["--resume"]));
     assert_eq!(lasting(&resumed), lasting(&whole));
     assert!(fs::read_to_string(result_file(&out)).unwrap().starts_with(kept), "what was in stays as it is");

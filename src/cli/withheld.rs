@@ -15,6 +15,7 @@ mod statistics;
 pub(crate) mod truth;
 
 use std::collections::BTreeMap;
+use std::ffi::OsStr;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -46,6 +47,7 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "I/N", default_value = "1/1")]
     shard: Shard,
     /// Go on with the run in the folder: cases that are in are not diagnosed again, but get what --baselines asks for.
+    /// Answers, seal and results are enough: cases that are not there are made again.
     #[arg(long)]
     resume: bool,
     /// Try other methods as well on the first N cases by their names, which are drawn by chance. Of a quadrotor they may
@@ -121,7 +123,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
 fn sealed(arguments: &Arguments, signals: &Signals) -> Result<String, Failure> {
     let found = seal::sealed_hash(&arguments.out).input()?;
     match found {
-        Some(hash) if arguments.resume => return Ok(hash),
+        Some(hash) if arguments.resume => {
+            make(&["--again"], arguments, signals)?;
+            return Ok(hash);
+        }
         Some(_) => {
             let out = arguments.out.display();
             return Err(Failure::input(anyhow!(
@@ -135,19 +140,29 @@ fn sealed(arguments: &Arguments, signals: &Signals) -> Result<String, Failure> {
             "no case is asked for; give at least one set a count, such as --singles 10"
         )));
     }
+    let mut words = arguments.counts.arguments();
+    words.extend(arguments.dev_seed.iter().flat_map(|seed| ["--dev-seed".into(), seed.to_string()]));
+    make(&words, arguments, signals)?;
+    seal::sealed_hash(&arguments.out)
+        .runtime()?
+        .ok_or_else(|| Failure::runtime(anyhow!("the process that makes the cases left no seal")))
+}
+
+/// Has the process of its own make cases.
+fn make(words: &[impl AsRef<OsStr>], arguments: &Arguments, signals: &Signals) -> Result<(), Failure> {
     let program = std::env::current_exe().runtime()?;
     let mut command = Command::new(program);
-    command.arg(TRUTH_COMMAND).args(arguments.counts.arguments()).arg("--out").arg(&arguments.out);
-    if let Some(seed) = arguments.dev_seed {
-        command.arg("--dev-seed").arg(seed.to_string());
-    }
+    command.arg(TRUTH_COMMAND).args(words).arg("--out").arg(&arguments.out);
     let status = command.stdout(Stdio::null()).status().runtime()?;
     if !status.success() && signals.raised() {
         let cases = arguments.out.join(CASES);
-        return Err(Failure::interrupted(anyhow!(
-            "interrupted while the cases were made; remove {} before the next run",
-            cases.display()
-        )));
+        return Err(Failure::interrupted(match arguments.resume {
+            true => anyhow!("interrupted while cases were made again; go on with --resume"),
+            false => anyhow!(
+                "interrupted while the cases were made; remove {} before the next run",
+                cases.display()
+            ),
+        }));
     }
     // It has said what was wrong with what it was given.
     if status.code() == Some(2) {
@@ -156,9 +171,7 @@ fn sealed(arguments: &Arguments, signals: &Signals) -> Result<String, Failure> {
     if !status.success() {
         return Err(Failure::runtime(anyhow!("the process that makes the cases failed: {status}")));
     }
-    seal::sealed_hash(&arguments.out)
-        .runtime()?
-        .ok_or_else(|| Failure::runtime(anyhow!("the process that makes the cases left no seal")))
+    Ok(())
 }
 
 /// The cases, in the order of their names.

@@ -12,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::seal::{Answers, Sealed, seal};
+use super::seal::{self, Answers, Sealed};
 use crate::cli::failure::{Failure, Outcome, Sort};
 use crate::cli::output;
 
@@ -97,6 +97,9 @@ pub(crate) struct Arguments {
     /// The run's folder.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    /// Make those cases of the sealed run in the folder again that are not there.
+    #[arg(long)]
+    again: bool,
 }
 
 /// What the diagnosis of a case is told.
@@ -121,6 +124,9 @@ fn draw_seed(development: Option<u64>) -> u64 {
 }
 
 pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
+    if arguments.again {
+        return make_again(&arguments.out);
+    }
     let seed = draw_seed(arguments.dev_seed);
     let cases = arguments.out.join(CASES);
     refuse_orphans(&cases)?;
@@ -140,8 +146,62 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         .collect();
     bar.finish_and_clear();
     let answers = Answers { seed, development: arguments.dev_seed.is_some(), cases: made? };
-    output::line(seal(&arguments.out, &answers).runtime()?);
+    output::line(seal::seal(&arguments.out, &answers).runtime()?);
     Ok(Outcome::Done)
+}
+
+/// Makes the cases of a sealed run again that are not there: all of it is in the seeds that were sealed with the answers.
+fn make_again(out: &Path) -> Result<Outcome, Failure> {
+    let nothing = || Failure::input(anyhow!("{} holds no sealed run", out.display()));
+    let hash = seal::sealed_hash(out).input()?.ok_or_else(nothing)?;
+    let answers = seal::open(out, &hash).input()?;
+    let cases = out.join(CASES);
+    let missing: Vec<(&String, &Sealed)> =
+        answers.cases.iter().filter(|(name, _)| !cases.join(name).exists()).collect();
+    if missing.is_empty() {
+        return Ok(Outcome::Done);
+    }
+    // Each is moved to its place when it is whole: the shards of a run may all be at this.
+    let draft = out.join(format!("again-{}", std::process::id()));
+    std::fs::create_dir_all(&cases).runtime()?;
+    let bar = output::progress("making cases again", missing.len() as u64);
+    let made: Result<(), Failure> = missing.par_iter().try_for_each(|(name, sealed)| {
+        let folder = draft.join(name);
+        std::fs::create_dir_all(&folder).runtime()?;
+        let answer = write(&sealed.plan, sealed.seed, &folder).runtime()?;
+        if in_file(&answer).runtime()? != sealed.answer {
+            return Err(Failure::input(anyhow!(
+                "the case {name} cannot be made again: this version of the program makes another one of its seed"
+            )));
+        }
+        write_options(&folder, &answer, sealed.left_out)?;
+        let place = cases.join(name);
+        match std::fs::rename(&folder, &place) {
+            // Another shard was faster.
+            Err(_) if place.exists() => {}
+            moved => moved.runtime()?,
+        }
+        bar.inc(1);
+        Ok(())
+    });
+    bar.finish_and_clear();
+    std::fs::remove_dir_all(&draft).runtime()?;
+    made.map(|()| Outcome::Done)
+}
+
+/// The answer as a file holds it: the last digit of a number may be another one there.
+fn in_file(answer: &Answer) -> Result<Answer, serde_json::Error> {
+    serde_json::from_str(&serde_json::to_string(answer)?)
+}
+
+/// Writes what a case tells the diagnosis.
+fn write_options(folder: &Path, answer: &Answer, left_out: bool) -> Result<(), Failure> {
+    let mut exclude = Vec::new();
+    if left_out {
+        exclude.extend(answer.effects.iter().map(|effect| effect.name.clone()));
+    }
+    let text = serde_json::to_string(&CaseOptions { exclude }).map_err(Failure::runtime)?;
+    std::fs::write(folder.join(OPTIONS), text).map_err(Failure::runtime)
 }
 
 /// Cases that no seal covers are left over from a process that died: they would be diagnosed without an answer.
@@ -206,12 +266,7 @@ impl Draft {
                 made => break made.runtime()?,
             }
         };
-        let mut exclude = Vec::new();
-        if self.left_out {
-            exclude.extend(answer.effects.iter().map(|effect| effect.name.clone()));
-        }
-        let text = serde_json::to_string(&CaseOptions { exclude }).map_err(Failure::runtime)?;
-        std::fs::write(folder.join(OPTIONS), text).map_err(Failure::runtime)?;
+        write_options(folder, &answer, self.left_out)?;
         Ok((answer, seed))
     }
 }
