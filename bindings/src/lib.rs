@@ -37,7 +37,7 @@ mod _native {
     #[pymodule_export]
     use crate::program::{NativeProgram, models};
     #[pymodule_export]
-    use crate::recording::{load, trajectories};
+    use crate::recording::{data, load, trajectories};
     #[pymodule_export]
     use crate::run::NativeRun;
     #[pymodule_export]

@@ -26,6 +26,17 @@ pub(crate) fn load(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyDict>>
     Ok(result)
 }
 
+/// The data of all messages of a node of a recording, such as its pictures: bytes, one array for each message.
+#[pyfunction]
+pub(crate) fn data<'py>(py: Python<'py>, path: PathBuf, node: &str) -> PyResult<Bound<'py, PyList>> {
+    let recording = py.detach(|| Recording::read(&path)).map_err(raise)?;
+    let track = recording.node(node).ok_or_else(|| {
+        let known: Vec<&str> = recording.nodes.iter().map(|track| track.name.as_str()).collect();
+        raise(format!("the recording has no node `{node}`; it has {}", known.join(", ")))
+    })?;
+    PyList::new(py, track.messages.iter().map(|message| list(py, message.data.to_vec())))
+}
+
 /// What the models of a recorded run went through: per node `params` `[leaf]`, `states` `[step + 1, leaf]`, `noise`
 /// `[step, number]`, `outputs` `[step, leaf]`, and how many outputs are not the recorded ones, bit for bit.
 #[pyfunction]

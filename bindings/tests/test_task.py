@@ -40,13 +40,21 @@ def test_from_a_recording_to_a_policy_that_runs(tmp_path, monkeypatch, browser):
     errors = told["variants"]["full-state-predicted"]["errors"]
     assert set(errors) == {"predicted", "filtered"}
     assert all(0.0 < error < 1.0 for each in errors.values() for error in each)
-    assert set(told["nodes"]) == {"world", "film", "camera", "estimator", "agent", "motor"}
+    looking = {f"{side}{name}" for side in ("", "side_") for name in ("film", "mark")} | {"camera", "side"}
+    assert set(told["nodes"]) == looking | {"world", "estimator", "agent", "motor"}
+    assert told["identified"]["not_written"] == []
+    # Nobody told where the cameras stand: a radian moves the mark by some 30 px.
+    for camera in ("camera", "side"):
+        for term in ("u.one", "u.sin", "v.one", "v.cos"):
+            name = f"{camera}.{term}"
+            assert abs(found[name]["value"] - truth[name]) < 1.0, name
     # The policy of the camera has its history in the file that the node loaded.
     policy = out / "training" / "camera-delays-4-6" / "policy.safetensors"
     assert b'"past_actions":"6"' in policy.read_bytes()
     page = (out / "report.html").read_text()
     for part in ("What was identified", "Open-loop reconstruction", "Delays", "Training", "in real time", "<svg"):
         assert part in page
+    assert "side, rendered" in page
     assert 'src="http' not in page
     check(browser, out / "report.html")
 

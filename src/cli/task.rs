@@ -6,7 +6,11 @@ use std::process::Command;
 
 use anyhow::{Context, anyhow};
 use clap::{Args, ValueEnum};
+use parallax_model::Tree;
+use parallax_model::tree::leaf_names;
 use parallax_nodes::pendulum::hidden::{HiddenEffect, Machine};
+use parallax_nodes::pendulum::sight;
+use parallax_nodes::pendulum::view::{Stand, View};
 use parallax_nodes::quadrotor;
 use parallax_runtime::launch::signals::Signals;
 use serde_json::{Map, Value, json};
@@ -66,19 +70,40 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
 }
 
 pub(crate) fn machine(arguments: &MachineArguments) -> Result<Outcome, Failure> {
-    let parameters: Vec<(&str, f64)> = match arguments.task {
+    let parameters: Vec<(String, f64)> = match arguments.task {
         Task::Pendulum => {
             let truth = HiddenEffect::Machine(Machine::draw(arguments.seed)).truth();
-            truth
-                .into_iter()
-                .flat_map(|truth| truth.parameters)
-                .map(|(name, value, _)| (name, value))
+            let parameters = truth.into_iter().flat_map(|truth| truth.parameters);
+            parameters
+                .map(|(name, value, _)| (name.to_owned(), value))
+                .chain(cameras(arguments.seed))
                 .collect()
         }
-        Task::Quadrotor => quadrotor::hidden::Machine::draw(arguments.seed).parameters().to_vec(),
+        Task::Quadrotor => {
+            let parameters = quadrotor::hidden::Machine::draw(arguments.seed).parameters();
+            parameters.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect()
+        }
     };
     let values: Map<String, Value> =
-        parameters.into_iter().map(|(name, value)| (name.to_owned(), json!(value))).collect();
+        parameters.into_iter().map(|(name, value)| (name, json!(value))).collect();
     output::json(&values)?;
     Ok(Outcome::Done)
+}
+
+/// The maps of a machine's two cameras, named as the nodes that hold what is identified of them.
+fn cameras(seed: u64) -> Vec<(String, f64)> {
+    let mut named = Vec::new();
+    for (camera, stand) in [("camera", Stand::Front), ("side", Stand::Side)] {
+        for (coordinate, map) in ["u", "v"].into_iter().zip(View::draw(seed, stand).maps()) {
+            let names = leaf_names::<f64, sight::Map>();
+            let values = map.to_vec();
+            named.extend(
+                names
+                    .iter()
+                    .zip(values)
+                    .map(|(name, value)| (format!("{camera}.{coordinate}.{name}"), value)),
+            );
+        }
+    }
+    named
 }

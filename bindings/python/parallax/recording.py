@@ -15,7 +15,7 @@ from . import _native
 from .flow import DataFlow
 from .structure import Structure
 from .trees import nested
-from .types import Floats, Integers, Tree
+from .types import Bytes, Floats, Integers, Tree
 
 __all__ = ["NodeTrack", "PortTrack", "Recording", "Trajectory", "load", "trajectories"]
 
@@ -171,6 +171,14 @@ class Recording:
             raise ValueError("this recording is of no file; load() it from one")
         graph = Graph(self.path)
         return DataFlow(graph, graph.episodes(self.path), {})
+
+    def data(self, node: str) -> list[Bytes]:
+        """The data of each of a node's messages, such as pictures, in the order of the messages; read from the file at
+        every call. A picture of `w` by `h` pixels in rgb8 is `.reshape(h, w, 3)`. Raises `ParallaxError` where there is
+        no such node."""
+        if self.path is None:
+            raise ValueError("this recording is of no file; load() it from one")
+        return _native.data(self.path, node)
 
     def __getitem__(self, node: str) -> NodeTrack:
         """What the node called `node` did."""

@@ -14,6 +14,9 @@ Floats: TypeAlias = NDArray[np.float64]
 Integers: TypeAlias = NDArray[np.int64]
 """Sequence numbers, or times in nanoseconds."""
 
+Bytes: TypeAlias = NDArray[np.uint8]
+"""Data of a message, such as a picture's."""
+
 Scalar: TypeAlias = Any
 """A Python float, or a JAX number (traced or not)."""
 
@@ -22,4 +25,4 @@ Tree: TypeAlias = Any
 
 Array: TypeAlias = jax.Array
 
-__all__ = ["Array", "Floats", "Integers", "Scalar", "Tree"]
+__all__ = ["Array", "Bytes", "Floats", "Integers", "Scalar", "Tree"]

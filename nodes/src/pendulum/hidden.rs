@@ -12,6 +12,8 @@ use parallax_runtime::node::{NodeContext, NodeError};
 use parallax_runtime::random::{Purpose, stream};
 use rand::{Rng, RngExt};
 
+use super::view::{Stand, View};
+
 /// The environment variable that holds the seed from which the world draws its effect, a whole number; after the word
 /// `machine`, the world is a [`Machine`] instead.
 pub const SEED_VARIABLE: &str = "PARALLAX_HIDDEN_SEED";
@@ -229,9 +231,33 @@ pub fn from_environment(context: &NodeContext) -> Result<HiddenEffect, NodeError
     effect_of(std::env::var(SEED_VARIABLE), context)
 }
 
+/// From where a camera looks: where the seed in [`SEED_VARIABLE`] draws a machine, from somewhere that nobody knows.
+///
+/// # Errors
+///
+/// As [`from_environment`].
+pub fn view_from_environment(context: &NodeContext, stand: Stand) -> Result<View, NodeError> {
+    Ok(match secret(std::env::var(SEED_VARIABLE), context)? {
+        Some((true, seed)) => View::draw(seed, stand),
+        _ => View::nominal(stand),
+    })
+}
+
 fn effect_of(variable: Result<String, VarError>, context: &NodeContext) -> Result<HiddenEffect, NodeError> {
+    Ok(match secret(variable, context)? {
+        None => HiddenEffect::None,
+        Some((true, seed)) => HiddenEffect::Machine(Machine::draw(seed)),
+        Some((false, seed)) => HiddenEffect::draw(seed),
+    })
+}
+
+/// The seed, and whether it draws a whole machine.
+fn secret(
+    variable: Result<String, VarError>,
+    context: &NodeContext,
+) -> Result<Option<(bool, u64)>, NodeError> {
     match variable {
-        Err(VarError::NotPresent) => Ok(HiddenEffect::None),
+        Err(VarError::NotPresent) => Ok(None),
         Ok(text) => {
             let (machine, seed) = match text.trim().strip_prefix(Machine::WORD) {
                 Some(seed) => (true, seed),
@@ -242,7 +268,7 @@ fn effect_of(variable: Result<String, VarError>, context: &NodeContext) -> Resul
                     "the environment's {SEED_VARIABLE} is `{text}`, not a whole number"
                 ))
             })?;
-            Ok(if machine { HiddenEffect::Machine(Machine::draw(seed)) } else { HiddenEffect::draw(seed) })
+            Ok(Some((machine, seed)))
         }
         Err(error) => Err(context.parameter_error(format!("the environment's {SEED_VARIABLE}: {error}"))),
     }

@@ -10,6 +10,8 @@
 
 pub mod agent;
 pub mod camera;
+pub mod camera_map;
+pub mod detector;
 pub mod encoder;
 pub mod estimator;
 pub mod film;
@@ -20,6 +22,7 @@ pub mod plant;
 pub mod sight;
 pub mod simulator;
 pub mod ukf;
+pub mod view;
 pub mod world;
 
 use std::f64::consts::{PI, TAU};
@@ -39,6 +42,7 @@ use estimator::Estimator;
 use hidden::HiddenEffect;
 use motor::Motor;
 use plant::Plant;
+use view::View;
 use world::World;
 
 /// The nominal simulator of the stretch between `motor.voltage` and `camera.angle`: the text of a `system.toml`.
@@ -48,22 +52,27 @@ pub const SYSTEM: &str = include_str!("system.toml");
 ///
 /// The effect reaches the world through the registry alone, so that neither the graph nor a recording of it tells it.
 pub fn kinds(registry: Registry, effect: HiddenEffect) -> Registry {
-    everything_but_the_world(registry).with("pendulum/world", world::kind(move |_| Ok(effect)))
+    everything_but_the_machine(registry)
+        .with("pendulum/world", world::kind(move |_| Ok(effect)))
+        .with("pendulum/film", film::kind(|_, stand| Ok(View::nominal(stand))))
 }
 
 /// The kinds of node of this graph, with a world that hides what the seed in the environment draws
-/// ([`hidden::SEED_VARIABLE`]), or nothing when there is none.
+/// ([`hidden::SEED_VARIABLE`]), or nothing when there is none; where it draws a whole machine, its cameras stand where nobody
+/// knows, too.
 pub fn kinds_from_environment(registry: Registry) -> Registry {
-    everything_but_the_world(registry).with("pendulum/world", world::kind(hidden::from_environment))
+    everything_but_the_machine(registry)
+        .with("pendulum/world", world::kind(hidden::from_environment))
+        .with("pendulum/film", film::kind(hidden::view_from_environment))
 }
 
-fn everything_but_the_world(registry: Registry) -> Registry {
+fn everything_but_the_machine(registry: Registry) -> Registry {
     registry
         .with("pendulum/camera", camera::kind())
         .with("pendulum/encoder", encoder::kind())
-        .with("pendulum/film", film::film())
-        .with("pendulum/detector", film::detector())
-        .with("pendulum/detector-simulated", film::simulated())
+        .with("pendulum/camera-map", camera_map::kind())
+        .with("pendulum/detector", detector::kind())
+        .with("pendulum/detector-simulated", camera_map::detector_simulated())
         .with("pendulum/estimator", estimator::kind())
         .with("pendulum/ukf", ukf::kind())
         .with("pendulum/agent", agent::kind())

@@ -30,6 +30,10 @@ pub struct Pixel<T = f64> {
     pub sin_sin: T,
     /// sin θ cos θ.
     pub sin_cos: T,
+    /// 1 where the mark has been seen, else 0. A detector in a picture knows nothing of sines and cosines: they are 0 there.
+    pub seen: T,
+    /// When the picture was taken, seconds since the run's start.
+    pub stamp: T,
 }
 
 impl Message for Pixel {
@@ -53,9 +57,17 @@ pub struct Map<T = f64> {
 }
 
 impl<T: Scalar> Map<T> {
+    /// The coordinate at an angle, px.
     #[inline(always)]
-    fn of(&self, sin: T, cos: T) -> T {
+    pub(super) fn of(&self, sin: T, cos: T) -> T {
         self.one + self.sin * sin + self.cos * cos + self.sin_sin * sin * sin + self.sin_cos * sin * cos
+    }
+
+    /// Its derivative by the angle, px/rad.
+    #[inline(always)]
+    pub(super) fn slope(&self, sin: T, cos: T) -> T {
+        let twice = self.sin_sin * sin * cos;
+        self.sin * cos - self.cos * sin + twice + twice + self.sin_cos * (cos * cos - sin * sin)
     }
 }
 
@@ -106,8 +118,8 @@ impl NodeModel for Sight {
 
     #[inline(always)]
     fn step<T: Scalar>(p: &Parameters<T>, (): (), step: &NodeStep<'_, T>) -> ((), Pixel<T>) {
-        let angle = step.latest::<WorldState<T>>(WORLD.name()).message.angle;
-        let (sin, cos) = (angle.sin(), angle.cos());
+        let seen = step.latest::<WorldState<T>>(WORLD.name()).message;
+        let (sin, cos) = (seen.angle.sin(), seen.angle.cos());
         let pixel = Pixel {
             u: p.u.of(sin, cos) + p.noise * step.noise[0],
             v: p.v.of(sin, cos) + p.noise * step.noise[1],
@@ -115,6 +127,8 @@ impl NodeModel for Sight {
             cos,
             sin_sin: sin * sin,
             sin_cos: sin * cos,
+            seen: T::constant(1.0),
+            stamp: seen.stamp,
         };
         ((), pixel)
     }

@@ -55,17 +55,26 @@ pub fn identified_graph(
             }
         }
     }
-    for estimate in found.estimates.iter().filter(|estimate| estimate.sort == Sort::Linear) {
-        let written = parameter(problem, &estimate.name).is_some_and(|place| match place {
-            Place::Param { node, leaf } => {
-                let kind = &problem.graph().nodes()[node].kind;
-                set(&mut spec.nodes[node], kind, Number::Param(leaf), estimate.value)
-            }
-            _ => false,
+    let mut left: Vec<_> = found.estimates.iter().filter(|estimate| estimate.sort == Sort::Linear).collect();
+    // A kind may take one number only when another is there: those that were refused are tried again.
+    loop {
+        let before = left.len();
+        left.retain(|estimate| {
+            let written = parameter(problem, &estimate.name).is_some_and(|place| match place {
+                Place::Param { node, leaf } => {
+                    let kind = &problem.graph().nodes()[node].kind;
+                    set(&mut spec.nodes[node], kind, Number::Param(leaf), estimate.value)
+                }
+                _ => false,
+            });
+            !written
         });
-        if !written {
-            notes.push(format!("the coefficient `{}` is no parameter of the graph", estimate.name));
+        if left.is_empty() || left.len() == before {
+            break;
         }
+    }
+    for estimate in left {
+        notes.push(format!("the coefficient `{}` is no parameter that the graph can set", estimate.name));
     }
     if let Err(error) = spec.validate(registry) {
         notes.push(format!("the graph cannot run as it is: {error}"));

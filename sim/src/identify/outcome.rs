@@ -75,7 +75,7 @@ pub struct Score {
 }
 
 /// Predictions beside what was recorded, for pictures.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Reconstruction {
     /// The output, `NODE.LEAF`.
     pub output: String,
@@ -86,7 +86,7 @@ pub struct Reconstruction {
 }
 
 /// One output over one recording.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Series {
     /// When the steps started, s.
     pub times: Vec<f64>,

@@ -32,7 +32,7 @@ pub(crate) struct Arguments {
     /// What is simulated, what is unknown, what is compared: an identify.toml (docs/identification.md).
     #[arg(long, value_name = "FILE")]
     spec: PathBuf,
-    /// The folder for identified.toml (a graph that runs), identified.json and report.html.
+    /// The folder for identified.toml (a graph that runs), identified.json, predictions.json and report.html.
     #[arg(long, value_name = "DIR", default_value = "out/identify")]
     out: PathBuf,
     /// Take up the search that was interrupted in the same folder.
@@ -104,8 +104,12 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         &arguments.out.join("identified.json"),
         &serde_json::to_string_pretty(&answer).map_err(Failure::runtime)?,
     )?;
-    let figures =
-        plot::identified::figures(&found, &found.reconstruction(&problem).map_err(Failure::runtime)?);
+    let reconstruction = found.reconstruction(&problem).map_err(Failure::runtime)?;
+    write(
+        &arguments.out.join("predictions.json"),
+        &serde_json::to_string(&json!({ "outputs": reconstruction })).map_err(Failure::runtime)?,
+    )?;
+    let figures = plot::identified::figures(&found, &reconstruction);
     let title = format!("What was identified of {}", problem.graph().spec().name);
     let names: Vec<String> = arguments.recordings.iter().map(|path| path.display().to_string()).collect();
     plot::write(&arguments.out.join("report.html"), &title, &names.join(", "), figures)?;

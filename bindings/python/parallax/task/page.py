@@ -24,8 +24,9 @@ figure.drawn svg{width:100%;height:auto;display:block}
 SVG = re.compile(r"<svg\b.*?</svg>", re.DOTALL)
 
 
-def write_page(work: Work, title: str, truths: Mapping[str, str], machine: Sequence[str]) -> None:
-    """Writes `report.html`. `truths` says what the machine calls an estimate; `machine` is what came out on it."""
+def write_page(work: Work, title: str, truths: Mapping[str, str], found: Sequence[str], machine: Sequence[str]) -> None:
+    """Writes `report.html`. `truths` says what the machine calls an estimate; `found` shows more of what was
+    identified, and `machine` is what came out on the machine."""
     result, out = work.result, work.out
     trained = {name: work.policy(name).parent for name in result.training}
     curves = plot_curves(trained, out / "curves.svg")
@@ -40,6 +41,7 @@ def write_page(work: Work, title: str, truths: Mapping[str, str], machine: Seque
         *(f"<p class=note>{html.escape(remark)}</p>" for remark in result.identified["remarks"]),
         "</section><section><h2>Open-loop reconstruction</h2>",
         _inner(identified),
+        *found,
         "</section><section><h2>Delays</h2>",
         _inner((out / "delays.html").read_text(encoding="utf-8")),
         _missing(work),

@@ -25,6 +25,7 @@ from ..train import (
 from ..types import Floats
 from . import pendulum_graphs as graphs
 from .page import figure, table, write_page
+from .poses import poses
 from .work import STANDS, Options, Result, Work, standing
 
 __all__ = ["DEFAULTS", "VARIANTS", "Variant", "pendulum"]
@@ -79,7 +80,10 @@ DEFAULTS = Options(
 )
 """What is done unless told otherwise."""
 
-TRUTHS = {"J": "inertia", "K": "motor", "b": "viscous", "c": "coulomb", "actuator": "delay"}
+TRUTHS = {"J": "inertia", "K": "motor", "b": "viscous", "c": "coulomb", "actuator": "delay"} | {
+    name: name
+    for name in (f"{camera}.{part}.{term}" for camera in graphs.CAMERAS for part in "uv" for term in graphs.TERMS)
+}
 """What the machine calls what is identified."""
 
 
@@ -89,20 +93,24 @@ def pendulum(options: Options = DEFAULTS) -> Result:
     excitation = work.out / "excitation.csv"
     _excitation(excitation, options.record, work.result.seed)
     work.record(graphs.recorded(), "--play", f"agent={excitation}")
-    work.identify(graphs.IDENTIFY)
+    recorded = load(work.out / "recording.mcap")
+    seen = graphs.Seen.of(recorded)
+    work.identify(graphs.identify(seen))
+    noise = _noise(work)
     chosen = {name: VARIANTS[name] for name in options.variants}
     for name in dict.fromkeys(variant.training for variant in chosen.values()):
         variant = next(variant for variant in chosen.values() if variant.training == name)
-        work.train(name, partial(_environment, work, variant), PENDULUM.changed(total_steps=options.steps))
+        environment = partial(_environment, work, seen, noise, variant)
+        work.train(name, environment, PENDULUM.changed(total_steps=options.steps))
 
-    ahead = _ahead(load(work.out / "recording.mcap")) + work.estimate("actuator")["value"]
-    noise = work.result.identified["outputs"][0]["fitted"]
+    ahead = _ahead(recorded) + work.estimate("actuator")["value"]
     filters = graphs.filters(work.identified, noise, ahead)
     traces: dict[str, tuple[Floats, Floats]] = {}
     for name, variant in chosen.items():
         kind = "pendulum/camera-policy" if variant.runs_on == "camera" else "pendulum/policy"
         used = filters if variant.runs_on in filters else {}
-        spec = graphs.deployed(variant.runs_on, str(work.policy(variant.training)), kind, used)
+        policy = str(work.policy(variant.training))
+        spec = graphs.deployed(variant.runs_on, policy, kind, used, work.identified)
         shares: dict[str, list[float]] = {"upright": [], "held": []}
         errors: dict[str, list[tuple[float, float]]] = {each: [] for each in used}
         for number in range(options.runs):
@@ -130,6 +138,7 @@ def pendulum(options: Options = DEFAULTS) -> Result:
         work,
         "The pendulum's task",
         TRUTHS,
+        poses(work, recorded, seen),
         [
             "<p>Upright is within 10° and 0.5 rad/s. Each number is a run; the second counts from when it first "
             "stood.</p>",
@@ -144,26 +153,36 @@ def pendulum(options: Options = DEFAULTS) -> Result:
 
 
 def _excitation(path: Path, seconds: float, seed: int) -> None:
-    """A sum of sines that comes and goes, strong enough for swings that stay below the top."""
+    """A sum of sines that comes and goes, for swings well above the shaft: where a camera has seen no mark, its map is
+    a guess. Over the top, little decides how a pendulum goes on."""
     random = np.random.default_rng(seed)
     time = np.arange(0.0, seconds, 0.02)
     frequencies = np.array([0.31, 0.57, 0.97, 1.61, 2.43, 3.37])
     phases = random.uniform(0, 2 * math.pi, len(frequencies))
     waves = np.sin(2 * math.pi * np.outer(time, frequencies) + phases).sum(axis=1)
-    voltage = np.clip(0.55 * (0.6 + 0.4 * np.sin(2 * math.pi * time / 7.0)) * waves, -3.0, 3.0)
+    voltage = np.clip(0.9 * (0.6 + 0.4 * np.sin(2 * math.pi * time / 7.0)) * waves, -4.0, 4.0)
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(["time", "agent.voltage"])
         writer.writerows([f"{t:.6f}", f"{u:.6f}"] for t, u in zip(time, voltage, strict=True))
 
 
-def _environment(work: Work, variant: Variant) -> GraphEnvironment:
+def _noise(work: Work) -> float:
+    """The noise of the front camera's angle, rad: that of the mark's place by how far the mark moves for a radian."""
+    errors = {each["output"]: each["fitted"] for each in work.result.identified["outputs"]}
+    noise = math.hypot(errors["mark.u"], errors["mark.v"])
+    moves = [work.estimate(f"camera.{part}.{term}")["value"] for part in "uv" for term in ("sin", "cos")]
+    return noise / math.hypot(*moves)
+
+
+def _environment(work: Work, seen: graphs.Seen, noise: float, variant: Variant) -> GraphEnvironment:
     """What a variant is trained on: what was found."""
-    graph = Graph(graphs.simulated(work.identified, work.fitted, variant.trained, variant.delays))
+    spec = graphs.simulated(work.identified, work.fitted, seen, noise, variant.trained, variant.delays)
+    graph = Graph(spec)
     shows = {"world": ("angle", "speed"), "encoder": ("angle", "speed"), "camera": ("angle",)}
     camera = variant.trained == "camera"
-    seen = ("cos(angle)", "sin(angle)") if camera else ("cos(angle)", "sin(angle)", "speed")
-    task = PendulumSwingUp(observations=seen, messages=shows)
+    observed = ("cos(angle)", "sin(angle)") if camera else ("cos(angle)", "sin(angle)", "speed")
+    task = PendulumSwingUp(observations=observed, messages=shows)
     episodes: Any = 64
     if variant.delays:
         # The hidden delay as it was identified; the others by a millisecond.

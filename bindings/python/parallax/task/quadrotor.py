@@ -91,6 +91,7 @@ def quadrotor(options: Options = DEFAULTS) -> Result:
         work,
         "The quadrotor's task",
         TRUTHS,
+        [],
         [
             f"<p>Means from {SETTLING:g} s on: speed along the circle, and distance from it. Each number of the "
             "machine is a run.</p>",

@@ -164,6 +164,8 @@ class Work:
         for estimate in found["estimates"]:
             low, high = estimate["interval"]
             self.say(f"   {estimate['name']} = {estimate['value']:.4g} {estimate['unit']} ({low:.4g} to {high:.4g})")
+        for note in found["not_written"]:
+            self.say(f"   not in the identified graph: {note}")
         self.say("3. Fitting the delays that the stamps show.")
         fitted, page = self.out / "fitted.toml", self.out / "delays.html"
         self.delays = json.loads(self._parallax("delays", recording, "--out", fitted, "--plot", page, "--json"))
