@@ -106,7 +106,8 @@ def _estimates(work: Work, truths: Mapping[str, str]) -> str:
         known = estimate["std"] is not None
         rows.append(
             [
-                estimate["name"],
+                # A line may end behind a dot: a phone is narrow.
+                estimate["name"].replace(".", ".\u200b"),
                 f"{estimate['value']:.4g} {estimate['unit']}",
                 f"{low:.4g} to {high:.4g}" if known else "not determined",
                 "" if truth is None else f"{truth:.4g}",
