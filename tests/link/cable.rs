@@ -172,12 +172,23 @@ pub(crate) fn graph() -> String {
 pub(crate) fn seen() -> String {
     let mut spec = parallax::nodes::graph("pendulum").unwrap();
     spec.name = "pendulum-seen".into();
-    spec.node_mut("camera").unwrap().kind = "pendulum/detector".into();
+    spec.node_mut("camera").unwrap().kind = "pendulum/camera-map".into();
     spec.nodes.push(NodeSpec::new("film", "pendulum/film", 50.0));
+    spec.nodes.push(NodeSpec::new("mark", "pendulum/detector", 50.0));
     spec.connections[0].to = "film".into();
-    spec.connections.push(ConnectionSpec { blocking: true, ..ConnectionSpec::new("film", "camera") });
+    for (from, to) in [("film", "mark"), ("mark", "camera")] {
+        spec.connections.push(ConnectionSpec { blocking: true, ..ConnectionSpec::new(from, to) });
+    }
     spec.plant = None;
     spec.to_toml().unwrap()
+}
+
+/// [`settings`] of a graph that is [`seen`] by pictures: they are taken on the plant and looked at on the desk.
+pub(crate) fn seen_settings(settings: String) -> String {
+    let camera = "[node.camera]\n        host = \"plant\"";
+    assert!(settings.contains(camera), "{settings}");
+    let nodes = "[node.film]\nhost = \"plant\"\n[node.mark]\nhost = \"desk\"\n[node.camera]\nhost = \"desk\"";
+    settings.replace(camera, nodes)
 }
 
 pub(crate) fn settings(link: &str) -> String {

@@ -13,7 +13,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use cable::{AHEAD, Cable, MACHINES, Run, adds_up, graph, seen, settings, until_recorded};
+use cable::{AHEAD, Cable, MACHINES, Run, adds_up, graph, seen, seen_settings, settings, until_recorded};
 use command::fail;
 use parallax::runtime::launch::{Exit, RunReport};
 use parallax::runtime::recording::{Fault, FaultKind, Recording};
@@ -270,10 +270,7 @@ fn pictures_cross_between_three_machines() {
         settings("").replace("[host.plant]", "[host.plant]\n[host.arm]\naddress = \"10.231.7.3:7447\"");
     let motor = "[node.motor]\n        host = \"plant\"";
     assert!(settings.contains(motor));
-    let camera = "[node.camera]\n        host = \"plant\"";
-    let settings = settings
-        .replace(motor, "[node.motor]\nhost = \"arm\"")
-        .replace(camera, "[node.camera]\nhost = \"desk\"\n[node.film]\nhost = \"plant\"");
+    let settings = seen_settings(settings).replace(motor, "[node.motor]\nhost = \"arm\"");
     for machine in MACHINES {
         fs::write(cable.path(machine).join("launch.toml"), &settings).unwrap();
     }
@@ -286,7 +283,7 @@ fn pictures_cross_between_three_machines() {
         assert_eq!(report.link.as_ref().unwrap().clocks.len(), 2, "{:?}", report.link);
     }
     let [(desk, ..), (plant, ..), (arm, ..)] = &reports;
-    adds_up(desk, &["camera", "estimator", "agent"]);
+    adds_up(desk, &["mark", "camera", "estimator", "agent"]);
     adds_up(plant, &["world", "film"]);
     adds_up(arm, &["motor"]);
 
@@ -298,7 +295,7 @@ fn pictures_cross_between_three_machines() {
         film.messages.len() > 100 && film.messages.iter().all(|message| message.data.len() == 120 * 90 * 3)
     );
     // Those that the detector saw on the desk are those that the film took on the plant: seen again, they give the same.
-    let seen = recording.node("camera").unwrap();
+    let seen = recording.node("mark").unwrap();
     assert!(seen.steps.len() > 100 && seen.messages.iter().any(|message| message.payload[0] != 0.0));
     let replay = command::json(cable.folder.path(), &["replay", path.to_str().unwrap(), "--json"]);
     assert_eq!(replay["exact"], true, "{replay}");
