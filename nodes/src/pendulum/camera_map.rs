@@ -14,7 +14,7 @@ use parallax_runtime::registry::NodeKind;
 use serde::Deserialize;
 
 use super::messages::Angle;
-use super::sight::{self, Map, Pixel};
+use super::sight::{Map, Pixel};
 use super::view::{Stand, View};
 use super::wrapped;
 
@@ -61,12 +61,6 @@ pub fn kind() -> NodeKind {
     })
     .input(MARK)
     .initial(&Angle { angle: -std::f64::consts::PI, stamp: 0.0 })
-}
-
-/// The kind `pendulum/detector-simulated`: what film and detector do together, as a model of where the mark is. It stands where
-/// the detector stands in a recorded graph, with the film's input, which it does not read.
-pub fn detector_simulated() -> NodeKind {
-    sight::kind().input(super::detector::FILM)
 }
 
 impl NodeModel for CameraMap {

@@ -10,7 +10,7 @@ use parallax_runtime::registry::NodeKind;
 use parallax_runtime::time::to_seconds;
 
 use super::film::{BYTES, HEIGHT, MARK, WIDTH};
-use super::sight::Pixel;
+use super::sight::{self, Pixel};
 
 /// The film in which it looks.
 pub const FILM: Port<Image> = Port::new("film");
@@ -32,6 +32,12 @@ pub struct Detector {
 /// The kind `pendulum/detector`.
 pub fn kind() -> NodeKind {
     NodeKind::new(move |_| Ok(Detector::blind())).input(FILM)
+}
+
+/// The kind `pendulum/detector-simulated`: what film and detector do together, as a model of where the mark is. It stands where
+/// the detector stands in a recorded graph, with the film's input, which it does not read.
+pub fn simulated() -> NodeKind {
+    sight::kind().input(FILM)
 }
 
 impl Detector {

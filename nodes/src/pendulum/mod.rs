@@ -72,7 +72,7 @@ fn everything_but_the_machine(registry: Registry) -> Registry {
         .with("pendulum/encoder", encoder::kind())
         .with("pendulum/camera-map", camera_map::kind())
         .with("pendulum/detector", detector::kind())
-        .with("pendulum/detector-simulated", camera_map::detector_simulated())
+        .with("pendulum/detector-simulated", detector::simulated())
         .with("pendulum/estimator", estimator::kind())
         .with("pendulum/ukf", ukf::kind())
         .with("pendulum/agent", agent::kind())

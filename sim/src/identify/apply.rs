@@ -29,52 +29,43 @@ pub fn identified_graph(
 ) -> (GraphSpec, Vec<String>) {
     let mut spec = problem.graph().spec().clone();
     let mut notes = Vec::new();
+    let mut pending = Vec::new();
     for (coordinate, estimate) in problem.coordinates.iter().zip(&found.estimates) {
         if coordinate.recording.is_some_and(|recording| recording > 0) {
             continue;
         }
         for place in &coordinate.places {
-            let (node, number) = match *place {
+            match *place {
                 Place::Delay { connection } => {
                     let spread = found.estimate(&format!("{}.spread", estimate.name));
                     spec.connections[connection].delay = match spread {
                         Some(spread) => Delay::Normal { mean: estimate.value, std: spread.value },
                         None => Delay::constant(estimate.value),
                     };
-                    continue;
                 }
-                Place::Param { node, leaf } => (node, Number::Param(leaf)),
-                Place::State { node, leaf } => (node, Number::State(leaf)),
-            };
-            let kind = &problem.graph().nodes()[node].kind;
-            if !set(&mut spec.nodes[node], kind, number, estimate.value) {
-                notes.push(format!(
-                    "the kind of node `{}` does not let a graph set `{}`",
-                    spec.nodes[node].name, estimate.name
-                ));
+                Place::Param { node, leaf } => pending.push((estimate, node, Number::Param(leaf))),
+                Place::State { node, leaf } => pending.push((estimate, node, Number::State(leaf))),
             }
         }
     }
-    let mut left: Vec<_> = found.estimates.iter().filter(|estimate| estimate.sort == Sort::Linear).collect();
-    // A kind may take one number only when another is there: those that were refused are tried again.
-    loop {
-        let before = left.len();
-        left.retain(|estimate| {
-            let written = parameter(problem, &estimate.name).is_some_and(|place| match place {
-                Place::Param { node, leaf } => {
-                    let kind = &problem.graph().nodes()[node].kind;
-                    set(&mut spec.nodes[node], kind, Number::Param(leaf), estimate.value)
-                }
-                _ => false,
-            });
-            !written
-        });
-        if left.is_empty() || left.len() == before {
-            break;
+    for estimate in found.estimates.iter().filter(|estimate| estimate.sort == Sort::Linear) {
+        match parameter(problem, &estimate.name) {
+            Some(Place::Param { node, leaf }) => pending.push((estimate, node, Number::Param(leaf))),
+            _ => notes
+                .push(format!("the coefficient `{}` is no parameter that the graph can set", estimate.name)),
         }
     }
-    for estimate in left {
-        notes.push(format!("the coefficient `{}` is no parameter that the graph can set", estimate.name));
+    // A kind may take one number only when another is there: those that were refused are tried again.
+    let mut before = usize::MAX;
+    while pending.len() < before {
+        before = pending.len();
+        pending.retain(|&(estimate, node, number)| {
+            !set(&mut spec.nodes[node], &problem.graph().nodes()[node].kind, number, estimate.value)
+        });
+    }
+    for (estimate, node, _) in pending {
+        let node = &spec.nodes[node].name;
+        notes.push(format!("the kind of node `{node}` does not let a graph set `{}`", estimate.name));
     }
     if let Err(error) = spec.validate(registry) {
         notes.push(format!("the graph cannot run as it is: {error}"));

@@ -25,6 +25,7 @@ from ..train import (
 from ..types import Floats
 from . import pendulum_graphs as graphs
 from .page import figure, table, write_page
+from .pendulum_identify import CAMERAS, TERMS, Seen, specification
 from .poses import poses
 from .work import STANDS, Options, Result, Work, standing
 
@@ -81,8 +82,7 @@ DEFAULTS = Options(
 """What is done unless told otherwise."""
 
 TRUTHS = {"J": "inertia", "K": "motor", "b": "viscous", "c": "coulomb", "actuator": "delay"} | {
-    name: name
-    for name in (f"{camera}.{part}.{term}" for camera in graphs.CAMERAS for part in "uv" for term in graphs.TERMS)
+    name: name for name in (f"{camera}.{part}.{term}" for camera in CAMERAS for part in "uv" for term in TERMS)
 }
 """What the machine calls what is identified."""
 
@@ -94,8 +94,8 @@ def pendulum(options: Options = DEFAULTS) -> Result:
     _excitation(excitation, options.record, work.result.seed)
     work.record(graphs.recorded(), "--play", f"agent={excitation}")
     recorded = load(work.out / "recording.mcap")
-    seen = graphs.Seen.of(recorded)
-    work.identify(graphs.identify(seen))
+    seen = Seen.of(recorded)
+    work.identify(specification(seen))
     noise = _noise(work)
     chosen = {name: VARIANTS[name] for name in options.variants}
     for name in dict.fromkeys(variant.training for variant in chosen.values()):
@@ -175,7 +175,7 @@ def _noise(work: Work) -> float:
     return noise / math.hypot(*moves)
 
 
-def _environment(work: Work, seen: graphs.Seen, noise: float, variant: Variant) -> GraphEnvironment:
+def _environment(work: Work, seen: Seen, noise: float, variant: Variant) -> GraphEnvironment:
     """What a variant is trained on: what was found."""
     spec = graphs.simulated(work.identified, work.fitted, seen, noise, variant.trained, variant.delays)
     graph = Graph(spec)

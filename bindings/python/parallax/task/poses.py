@@ -11,26 +11,24 @@ import numpy as np
 from ..recording import Recording
 from ..train.missing import package
 from ..types import Floats
-from . import pendulum_graphs as graphs
 from .page import figure, table
+from .pendulum_identify import CAMERAS, Seen
 from .work import Work
 
 __all__ = ["poses"]
 
 SHOWN = 4
 """Pictures of each camera."""
-SHAPE = (90, 120, 3)
-"""Rows, columns and colours of a picture."""
 MARK = 5.0
 """Radius of the mark in a picture, px."""
 
 
-def poses(work: Work, recording: Recording, seen: graphs.Seen) -> list[str]:
+def poses(work: Work, recording: Recording, seen: Seen) -> list[str]:
     """Parts of a page: for both cameras pictures of time that no fit has seen, above what is rendered of the open-loop
     prediction at the same time, and how far the mark is from where it is predicted."""
     told = json.loads((work.out / "identify" / "predictions.json").read_text(encoding="utf-8"))["outputs"]
     predictions = {each["output"]: each["recordings"][0] for each in told}
-    pictures = [row for camera in graphs.CAMERAS for row in _camera(work, recording, predictions, camera)]
+    pictures = [row for camera in CAMERAS for row in _camera(work, recording, predictions, camera)]
 
     def draw(drawing: Any) -> None:
         rows = drawing.subplots(len(pictures), SHOWN)
@@ -47,7 +45,7 @@ def poses(work: Work, recording: Recording, seen: graphs.Seen) -> list[str]:
             row[0].set_ylabel(about, fontsize=8)
 
     rows = []
-    for camera, (_, mark) in graphs.CAMERAS.items():
+    for camera, (_, mark) in CAMERAS.items():
         off = _off(predictions, mark, seen.begin)
         rows.append([camera, f"{_rms(off[0]):.2f} px", f"{_rms(off[1]):.2f} px"])
     return [
@@ -63,8 +61,9 @@ def _camera(
     work: Work, recording: Recording, predictions: dict[str, Any], camera: str
 ) -> list[tuple[str, list[tuple[str, Any, Any]]]]:
     """Two rows: pictures, and renderings."""
-    film, mark = graphs.CAMERAS[camera]
-    taken = [data.reshape(SHAPE) for data in recording.data(film)]
+    film, mark = CAMERAS[camera]
+    height, width = (int(recording[film][side][0]) for side in ("height", "width"))
+    taken = [data.reshape(height, width, -1) for data in recording.data(film)]
     # The pendulum hides each place for a while only.
     background = np.median(np.stack(taken[:: max(1, len(taken) // 60)]), axis=0).astype(np.uint8)
     place = {int(seq): index for index, seq in enumerate(recording[film].seq)}
