@@ -17,7 +17,7 @@ use crate::commands::{self, Change};
 use crate::experiment::Experiment;
 use crate::hypothesis::Slot;
 use crate::machine::{Drive, Field, Layout, Machine};
-use crate::simulator::{At, Event, Gradient, LANES, Motion, Reading, Run, Simulator};
+use crate::simulator::{At, Event, Gradient, LANES, Motion, Reading, Run, Simulator, wrapped};
 
 /// Most states and fitted parameters together.
 pub const MOST_VARIABLES: usize = 128;
@@ -39,7 +39,22 @@ pub struct EquationsSimulator<'a> {
     events: OnceLock<Arc<Table>>,
     /// Standard deviations of the states beyond the nominal ones, where a stretch begins.
     extra_std: Vec<f64>,
+    /// Outputs whose sensor has limits.
+    clipped: Vec<Clipped>,
 }
+
+/// An output whose sensor has limits.
+#[derive(Clone, Copy, Debug)]
+struct Clipped {
+    output: usize,
+    /// Where among the fields' outputs it stands without limits.
+    unclipped: usize,
+    /// How far from a limit a reading is not at it, in the output's unit; infinite where the noise is not known.
+    resting: f64,
+}
+
+/// Standard deviations of noise within which a reading is at a limit.
+const RESTING: f64 = 4.0;
 
 impl<'a> EquationsSimulator<'a> {
     /// The plant with the hypothesis' effects, what each entry of θ stands for, the recording, and the longest
@@ -65,7 +80,21 @@ impl<'a> EquationsSimulator<'a> {
         let full = field(&plant, experiment, &theta, !timed.is_empty());
         let (plain, events) = (OnceLock::new(), OnceLock::new());
         let extra_std = vec![1.0; plant.extra_states().len()];
-        EquationsSimulator { plant, slots, experiment, step, timed, full, plain, events, extra_std }
+        let outputs = experiment.wraps.len();
+        let limited = (0..outputs).filter(|output| plant.unclipped_program(*output).is_some()).enumerate();
+        let clipped = limited
+            .map(|(k, output)| Clipped { output, unclipped: outputs + k, resting: f64::INFINITY })
+            .collect();
+        EquationsSimulator { plant, slots, experiment, step, timed, full, plain, events, extra_std, clipped }
+    }
+
+    /// The same simulator with the standard deviation of each output's noise: it tells which readings are at a sensor's limit.
+    #[must_use]
+    pub fn with_noise(mut self, noise: &[f64]) -> Self {
+        for clipped in &mut self.clipped {
+            clipped.resting = RESTING * noise[clipped.output];
+        }
+        self
     }
 
     /// The same simulator with standard deviations for the states that effects bring with them, in the plant's order.
@@ -111,6 +140,7 @@ impl<'a> EquationsSimulator<'a> {
             drive: Drive::new(self.experiment.inputs.len(), timed),
             table,
             scratch: Gradient::default(),
+            unclipped: Gradient::default(),
         })
     }
 }
@@ -126,8 +156,10 @@ fn position(plant: &Plant, slot: &Slot) -> usize {
 }
 
 fn field(plant: &Plant, experiment: &Experiment, theta: &[Option<usize>], driven: bool) -> Field {
-    let outputs: Vec<Program> =
-        (0..experiment.wraps.len()).map(|output| plant.output_program(output)).collect();
+    let count = experiment.wraps.len();
+    let shown = (0..count).map(|output| plant.output_program(output));
+    let unclipped = (0..count).filter_map(|output| plant.unclipped_program(output));
+    let outputs: Vec<Program> = shown.chain(unclipped).collect();
     let layout =
         Layout { parameters: theta.len(), states: plant.states(), commands: experiment.inputs.len() };
     Field::new(&plant.derivative_program(), &outputs, layout, theta, driven)
@@ -279,6 +311,7 @@ struct EquationsRun<'a> {
     drive: Drive,
     table: Arc<Table>,
     scratch: Gradient,
+    unclipped: Gradient,
 }
 
 impl EquationsRun<'_> {
@@ -309,6 +342,64 @@ impl EquationsRun<'_> {
             }
         }
         self.machine.set_parameters(&lanes);
+    }
+
+    /// Predicts the readings of the lanes' events, each output as `one` has it.
+    fn predict(
+        &mut self,
+        at: &At,
+        by: &mut Gradient,
+        mut one: impl FnMut(&mut Self, usize, &mut Gradient) -> F64x16,
+    ) -> F64x16 {
+        self.load(at, true);
+        let mut value = F64x16::splat(0.0);
+        let output = |events: &[Event], lane: usize| Some(events[at[lane]?].reading?.output);
+        let outputs: Vec<Option<usize>> = (0..LANES).map(|lane| output(&self.table.events, lane)).collect();
+        let mut seen: Vec<usize> = outputs.iter().flatten().copied().collect();
+        seen.sort_unstable();
+        seen.dedup();
+        let mut scratch = std::mem::take(&mut self.scratch);
+        for (k, output) in seen.iter().enumerate() {
+            if k == 0 {
+                value = one(self, *output, by);
+                continue;
+            }
+            let other = one(self, *output, &mut scratch);
+            for lane in (0..LANES).filter(|lane| outputs[*lane] == Some(*output)) {
+                value[lane] = other[lane];
+                for (to, from) in by.by.iter_mut().zip(&scratch.by) {
+                    to[lane] = from[lane];
+                }
+            }
+            by.live.extend(&scratch.live);
+        }
+        self.scratch = scratch;
+        value
+    }
+
+    /// Predicts one output, to be compared. A reading that is not at its sensor's limit shows the truth (a censored
+    /// observation: Tobin 1958): where the prediction lies beyond that limit, it counts as if there were none, and is pulled
+    /// back. The derivative of what is clipped is zero, and would leave it there.
+    fn compared(&mut self, output: usize, at: &At, motion: &Motion, by: &mut Gradient) -> F64x16 {
+        let mut value = self.machine.observe(output, &self.drive, motion, by);
+        let clipped = self.simulator.clipped.iter().find(|clipped| clipped.output == output);
+        let Some(clipped) = clipped.filter(|clipped| clipped.resting.is_finite()) else { return value };
+        let open = self.machine.observe(clipped.unclipped, &self.drive, motion, &mut self.unclipped);
+        let wrap = self.simulator.experiment.wraps[output];
+        for (lane, event) in at.iter().enumerate() {
+            let reading = event.and_then(|event| self.table.events[event].reading);
+            let Some(reading) = reading.filter(|reading| reading.output == output) else { continue };
+            let beyond = open[lane] - value[lane];
+            let inside = wrapped(value[lane] - reading.value, wrap) * beyond.signum() > clipped.resting;
+            if beyond != 0.0 && inside {
+                value[lane] = open[lane];
+                for (to, from) in by.by.iter_mut().zip(&self.unclipped.by) {
+                    to[lane] = from[lane];
+                }
+            }
+        }
+        by.live.extend(&self.unclipped.live);
+        value
     }
 
     /// Commands and times as they are at the lanes' events, or as the readings there show them.
@@ -385,28 +476,11 @@ impl Run for EquationsRun<'_> {
     }
 
     fn observe_lanes(&mut self, at: &At, motion: &Motion, by: &mut Gradient) -> F64x16 {
-        self.load(at, true);
-        let mut value = F64x16::splat(0.0);
-        let output = |events: &[Event], lane: usize| Some(events[at[lane]?].reading?.output);
-        let outputs: Vec<Option<usize>> = (0..LANES).map(|lane| output(&self.table.events, lane)).collect();
-        let mut seen: Vec<usize> = outputs.iter().flatten().copied().collect();
-        seen.sort_unstable();
-        seen.dedup();
-        for (k, output) in seen.iter().enumerate() {
-            if k == 0 {
-                value = self.machine.observe(*output, &self.drive, motion, by);
-                continue;
-            }
-            let other = self.machine.observe(*output, &self.drive, motion, &mut self.scratch);
-            for lane in (0..LANES).filter(|lane| outputs[*lane] == Some(*output)) {
-                value[lane] = other[lane];
-                for (to, from) in by.by.iter_mut().zip(&self.scratch.by) {
-                    to[lane] = from[lane];
-                }
-            }
-            by.live.extend(&self.scratch.live);
-        }
-        value
+        self.predict(at, by, |run, output, by| run.machine.observe(output, &run.drive, motion, by))
+    }
+
+    fn compare_lanes(&mut self, at: &At, motion: &Motion, by: &mut Gradient) -> F64x16 {
+        self.predict(at, by, |run, output, by| run.compared(output, at, motion, by))
     }
 
     fn wrap(&self, output: usize) -> Option<f64> {

@@ -215,7 +215,7 @@ fn walk_group(run: &mut dyn Run, group: &[Start], scale: &[f64], noise: &Noise, 
     let mut lanes = Lockstep::new(group.iter().map(stretch));
     while let Some(tick) = lanes.next(run) {
         if let lockstep::Tick::Read(reads) = tick {
-            let value = run.observe_lanes(&reads, &motion, &mut row);
+            let value = run.compare_lanes(&reads, &motion, &mut row);
             let (mut innovation, mut noise, mut active, mut weighs) = (zero, zero, zero, zero);
             let mut output = [NOTHING; LANES];
             for (lane, start) in group.iter().enumerate() {

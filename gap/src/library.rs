@@ -230,7 +230,9 @@ pub fn simulator<'a>(
     let plant = Plant::new(setup.equations.clone(), &effects, residuals, smoothing);
     let slots = hypothesis.fitted.iter().map(|f| f.slot).collect();
     let std = extra_std(setup, &plant);
-    EquationsSimulator::new(plant, slots, &setup.experiment, setup.step).with_extra_std(std)
+    EquationsSimulator::new(plant, slots, &setup.experiment, setup.step)
+        .with_extra_std(std)
+        .with_noise(&setup.output_noise)
 }
 
 /// How uncertain the states are that effects bring with them, where a stretch of the recording begins.

@@ -274,7 +274,7 @@ impl Normal {
                 Tick::Read(reads) => reads,
             };
             let (mut error, mut active) = (zero, zero);
-            let value = run.observe_lanes(&reads, &self.motion, &mut self.row);
+            let value = run.compare_lanes(&reads, &self.motion, &mut self.row);
             let mut output = 0;
             for lane in 0..LANES {
                 let Some(reading) = reads[lane].and_then(|index| run.events()[index].reading) else {

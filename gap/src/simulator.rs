@@ -154,6 +154,11 @@ pub trait Run {
     /// Predicts the reading of each lane's event, which must be one, from its states: the value, and in `by` the
     /// derivatives by seeds and θ.
     fn observe_lanes(&mut self, at: &At, motion: &Motion, by: &mut Gradient) -> F64x16;
+    /// The same to compare with the readings, which tell whether a sensor is at its limit: where it is not, a prediction
+    /// beyond the limit is wrong by all of its distance.
+    fn compare_lanes(&mut self, at: &At, motion: &Motion, by: &mut Gradient) -> F64x16 {
+        self.observe_lanes(at, motion, by)
+    }
     /// The period of an output that is an angle (2π in rad), if it wraps.
     fn wrap(&self, output: usize) -> Option<f64>;
 

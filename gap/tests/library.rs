@@ -3,7 +3,9 @@
 
 mod rotor;
 
+use parallax_gap::simulator::{At, Event, Gradient, LANES, Motion, Simulator};
 use parallax_model::effect::{Effect, Place, PlaceKind};
+use parallax_model::lanes::F64x16;
 use parallax_model::system::{EffectEntry, System};
 use proptest::prelude::*;
 use rotor::{SYSTEM, equations, experiment, predictions, simulator};
@@ -233,4 +235,32 @@ proptest! {
         let (difference, size) = apart(&with, &plain);
         prop_assert!(difference <= 1e-5 * size, "{chosen:?}: {difference}");
     }
+}
+
+#[test]
+fn a_reading_off_its_sensors_limit_pulls_a_prediction_back_from_beyond_it() {
+    // All readings are zero: at the lower limit, and far from the upper one.
+    let experiment = experiment();
+    let clipped = [(Effect::SensorSaturation, PlaceKind::Output, 0)];
+    let simulator = simulator(equations(), &clipped, &experiment).with_noise(&[1e-3, 1e-3]);
+    let mut run = simulator.run(&[0.0, 0.21]);
+    let of_angle = |event: &Event| event.reading.is_some_and(|reading| reading.output == 0);
+    let index = run.events().iter().position(of_angle).expect("the angle is read");
+    let mut at: At = [None; LANES];
+    at[0] = Some(index);
+    let mut predicted = |angle: f64, compared: bool| {
+        let mut motion = Motion::new(3, 3, 2);
+        motion.x[0] = F64x16::splat(angle);
+        motion.seed();
+        let mut by = Gradient::default();
+        let value = match compared {
+            true => run.compare_lanes(&at, &motion, &mut by),
+            false => run.observe_lanes(&at, &motion, &mut by),
+        };
+        (value[0], by.by[0][0])
+    };
+    assert_eq!(predicted(0.8, false), (0.21, 0.0));
+    assert_eq!(predicted(0.8, true), (0.8, 1.0));
+    assert_eq!(predicted(-0.8, true), (0.0, 0.0));
+    assert_eq!(predicted(0.1, true), (0.1, 1.0));
 }

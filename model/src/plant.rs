@@ -204,6 +204,17 @@ impl Plant {
     /// One reading, effects of sensing included.
     #[must_use]
     pub fn output<T: Scalar>(&self, output: usize, point: &Point<'_, T>, extra: &[T]) -> T {
+        self.output_with(output, point, extra, |_| true)
+    }
+
+    /// One reading with those of the effects of sensing that are `kept`.
+    fn output_with<T: Scalar>(
+        &self,
+        output: usize,
+        point: &Point<'_, T>,
+        extra: &[T],
+        kept: impl Fn(Effect) -> bool,
+    ) -> T {
         let n = self.equations.system().states.len();
         let moved = self.moved(point, extra);
         let nominal = moved.point(point, n);
@@ -220,6 +231,7 @@ impl Plant {
         }
         self.effects_at(PlaceKind::Output, output)
             .into_iter()
+            .filter(|b| kept(b.effect))
             .fold(value, |y, b| b.effect.output(&self.own(b, extra), y, point.time))
     }
 
@@ -244,6 +256,20 @@ impl Plant {
             let (point, extra) = self.split(all);
             vec![self.output(output, &point, extra)]
         })
+    }
+
+    /// The same reading if its sensor had no limits; nothing where it has none.
+    #[must_use]
+    pub fn unclipped_program(&self, output: usize) -> Option<Program> {
+        let limits = |effect| effect == Effect::SensorSaturation;
+        if !self.effects_at(PlaceKind::Output, output).into_iter().any(|b| limits(b.effect)) {
+            return None;
+        }
+        let name = format!("y_{}", self.equations.system().outputs[output].name);
+        Some(trace_fn(&name, &self.program_inputs(), std::slice::from_ref(&name), |all| {
+            let (point, extra) = self.split(all);
+            vec![self.output_with(output, &point, extra, |effect| !limits(effect))]
+        }))
     }
 
     fn program_inputs(&self) -> Vec<String> {
