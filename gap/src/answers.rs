@@ -69,11 +69,16 @@ pub(crate) fn is_mean_of(setup: &Setup, effect: &FittedEffect, spread: f64) -> b
     };
     match Effect::from_name(&effect.name) {
         Some(Effect::Delay) => late("delay", 1.0),
-        Some(Effect::Lag) => effect.parameters.len() == 1 && late("time_constant", 1.0),
+        Some(Effect::Lag | Effect::SensorLag) => effect.parameters.len() == 1 && late("time_constant", 1.0),
         // What has parted at the end is twice the mean.
         Some(Effect::ClockSkew) => late("skew", 0.5 * (to - from)),
         _ => false,
     }
+}
+
+/// Whether an effect is a lag, which is late by its time constant.
+fn is_sluggish(effect: &FittedEffect) -> bool {
+    matches!(Effect::from_name(&effect.name), Some(Effect::Lag | Effect::SensorLag))
 }
 
 /// All answers by probability. Effects on how readings scatter that count as causes are part of each.
@@ -101,7 +106,8 @@ pub(crate) fn which(
             [only] if only.name == Effect::Delay.name() => {
                 only.parameters.values().all(|delay| delay.value < MEAN_OF_JITTER * spread)
             }
-            [only] => scatters(only) && is_mean_of(setup, only, spread),
+            // What is late anywhere shows everywhere behind it, and times that scatter blur how.
+            [only] => (scatters(only) || is_sluggish(only)) && is_mean_of(setup, only, spread),
             _ => false,
         });
     let mut out = rest;

@@ -49,7 +49,8 @@ struct Candidate<'a> {
 }
 
 /// Combinations that are worth their further effects; `fits` are single effects in their best forms, the best first, and
-/// `forms` are all of them.
+/// `forms` are all of them. Single effects that were fitted better from where they are in a combination are among what it
+/// gives.
 #[must_use]
 pub fn combinations<'a>(
     setup: &Setup,
@@ -80,16 +81,36 @@ pub fn combinations<'a>(
         }
         let base = simplify(setup, null, prune(setup, null, base, fits, &pool, judge), judge);
         let known = |other: &Fit| same(&other.hypothesis.effects, &base.hypothesis.effects);
-        if base.hypothesis.effects.len() > 1
-            && !found.iter().any(known)
-            && !explained_by_one(setup, &base, fits, &pool, judge)
+        if base.hypothesis.effects.len() < 2
+            || found.iter().any(known)
+            || explained_by_one(setup, &base, fits, &pool, judge)
         {
+            continue;
+        }
+        let singles = restarted(setup, null, &base, fits, judge);
+        if !explained_by_one(setup, &base, &singles, &pool, judge) {
             let others = twins(setup, null, &base, fits, judge);
             found.push(base);
             found.extend(others);
         }
+        found.extend(singles);
     }
     found
+}
+
+/// Each effect of a pair alone, from where it is beside the other, where it is fitted better so: on its own way there it
+/// stuck, and the other one paid for the rest of the way.
+fn restarted(setup: &Setup, null: &Fit, fit: &Fit, fits: &[Fit], judge: &Judge) -> Vec<Fit> {
+    if fit.hypothesis.effects.len() != 2 || setup.stop.leaves_out(|| SEVERAL.into()) {
+        return Vec::new();
+    }
+    let again = fit.hypothesis.effects.par_iter().filter_map(|at| {
+        let effects = std::slice::from_ref(at);
+        let known = fits.iter().find(|f| f.hypothesis.effects == effects)?;
+        let single = fit_part(setup, null, library::hypothesis(setup, effects), fit);
+        (judge.cost(&single) < judge.cost(known) - EVEN).then_some(single)
+    });
+    again.filter(|single| library::is_possible(setup, single)).collect()
 }
 
 /// A fit with further effects, one by one, as long as they are worth it.

@@ -26,7 +26,7 @@ pub use crate::options::Options;
 use crate::pieces;
 use crate::posterior::{self, Answer};
 use crate::quantify::{self, Row};
-use crate::readings::{self, LostCommands, Raw, ReadingEffect};
+use crate::readings::{self, Acted, Raw, ReadingEffect};
 use crate::report::{
     Absorbed, Confusable, FittedEffect, Gap, NotTestable, Overlay, Report, Split, Unexplained,
 };
@@ -139,14 +139,16 @@ pub(crate) fn diagnose_bound(
             (raw, found) = (believed, again);
         }
     }
-    progress(0.86, "lost commands");
-    let lost = readings::lost(&found.setup, &experiment, &found.null, &found.answers, options);
-    if let Some(lost) = &lost {
-        // What else there is shows once the losses are known.
-        found = weigh(&raw, &lost.replaced(experiment), (0.86, 0.92))?;
+    progress(0.86, "lost and late commands");
+    let acted = readings::acted(&found.setup, &experiment, &found.null, &found.answers, options);
+    if let Some(acted) = &acted {
+        // What else there is shows once it is known what acted.
+        let before = found.null.shooting_error;
+        found = weigh(&raw, &acted.replaced(experiment), (0.86, 0.92))?;
+        found.answers.forgive(&found.null, before);
     }
     progress(0.92, "held-out time");
-    Ok(conclude(title, options, found, lost))
+    Ok(conclude(title, options, found, acted))
 }
 
 /// Everything up to the weights of the answers.
@@ -273,11 +275,11 @@ impl Found {
 /// predict to refute it. Evidence is of one-step predictions; what holds there and fails on fresh motion is no machine.
 const OVERTAKES: f64 = 0.9;
 
-fn conclude(title: &str, options: &Options, found: Found, lost: Option<LostCommands>) -> Diagnosis {
+fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) -> Diagnosis {
     let Found { setup, null, mut answers, p_value, not_testable, absorbed, mut readings } = found;
     let setup = &setup;
     // Without the effect the machine is predicted from what was sent, with it from what arrived.
-    let recorded = lost.as_ref().map(|lost| lost.as_recorded(setup));
+    let recorded = acted.as_ref().map(|acted| acted.as_recorded(setup));
     let scored = recorded.as_ref().unwrap_or(setup);
     let system = setup.equations.system();
     let detected = p_value < 0.01 && answers.no_gap < 0.5;
@@ -293,7 +295,7 @@ fn conclude(title: &str, options: &Options, found: Found, lost: Option<LostComma
         let with = row(answers.leader(&null));
         let overtakes = |other: &Row| quantify::closed(&with, other, options.seed).low > OVERTAKES;
         let overtaken = || answers.no_worse_by_windows().any(|fit| overtakes(&row(fit)));
-        if lost.is_some() || !(worse(&with) || overtaken()) {
+        if acted.is_some() || !(worse(&with) || overtaken()) {
             with_best = Some(with);
             break;
         }
@@ -330,8 +332,8 @@ fn conclude(title: &str, options: &Options, found: Found, lost: Option<LostComma
         setup.noise.process_floor,
     );
     let nominal = quantify::predict(scored, &simulator, &nominal_theta, &noise);
-    // With lost commands the null, too, is another one once what arrived is known.
-    let known = || if lost.is_some() { row(&null) } else { refitted.clone() };
+    // With commands that acted otherwise the null, too, is another one once that is known.
+    let known = || if acted.is_some() { row(&null) } else { refitted.clone() };
     let with_effect = with_best.unwrap_or_else(known);
     let black_box = answers.residual(named).map_or_else(|| with_effect.clone(), row);
 
@@ -346,16 +348,16 @@ fn conclude(title: &str, options: &Options, found: Found, lost: Option<LostComma
         .collect();
 
     let named_one = (detected, detected && named);
-    let mut causes = Models::new(setup, &null, &answers, &rows, named_one, lost.as_ref()).causes(&readings);
-    if detected && named && causes.is_empty() && lost.is_none() {
+    let mut causes = Models::new(setup, &null, &answers, &rows, named_one, acted.as_ref()).causes(&readings);
+    if detected && named && causes.is_empty() && acted.is_none() {
         // What may close something is given the benefit of the doubt, unless the best guess is that it closes nothing.
         let closed = &how_far.closed_by_effect;
         answers.doubt(if closed.value > 0.0 { closed.high } else { closed.value });
     }
     let unexplained = Unexplained { probability: answers.unexplained, share };
-    if let Some(lost) = lost {
-        readings.push(lost.effect.clone());
-        causes.push(lost.effect);
+    if let Some(acted) = acted {
+        readings.push(acted.effect.clone());
+        causes.push(acted.effect);
     }
     let chance = causes.iter().map(|r| (0.5 * r.evidence).exp()).fold(p_value, f64::min);
     let (mean_detected, detected) = (detected, detected || !causes.is_empty());

@@ -24,6 +24,13 @@ const MATERIAL_BESIDE: f64 = 0.03;
 /// Share of the gap up to which one hypothesis may explain more than another because of its form alone.
 const FORM: f64 = 0.1;
 
+/// What is `explained` of a mean squared error, in units of what a form that closes `gap` and that nobody knows exactly may
+/// be off by.
+#[must_use]
+pub fn share_of_form(explained: f64, gap: f64) -> f64 {
+    explained.max(0.0) / (FORM * gap).max(1e-12)
+}
+
 /// The judge of all hypotheses on one log.
 ///
 /// Where some hypothesis reaches the sensors' noise, both losses are likelihoods of the data, and their mean decides:
@@ -109,7 +116,13 @@ impl Judge {
     /// Whether what `fit` explains beyond `base` is more than a form that is known to a few percent may be off by.
     #[must_use]
     pub fn is_material(&self, fit: &Fit, base: &Fit) -> bool {
-        base.shooting_error - fit.shooting_error >= MATERIAL * self.gap
+        self.is_material_from(base.shooting_error, fit.shooting_error)
+    }
+
+    /// The same of mean squared residuals before and after, in noise units squared.
+    #[must_use]
+    pub fn is_material_from(&self, before: f64, after: f64) -> bool {
+        before - after >= MATERIAL * self.gap
     }
 
     /// Whether an effect of `fit` has a parameter to spare, and without it, as `to` has it, the evidence is hardly worse: one
@@ -128,7 +141,7 @@ impl Judge {
     /// What `fit` explains beyond `base`, in units of what a form that nobody knows exactly may be off by.
     #[must_use]
     pub fn beyond_form(&self, fit: &Fit, base: &Fit) -> f64 {
-        (base.shooting_error - fit.shooting_error).max(0.0) / (FORM * self.gap).max(1e-12)
+        share_of_form(base.shooting_error - fit.shooting_error, self.gap)
     }
 
     /// −2 log evidence, up to a constant.

@@ -5,7 +5,7 @@ use parallax_model::effect::PlaceKind;
 
 use crate::combine;
 use crate::hypothesis::EffectAt;
-use crate::judge::{DECISIVE, EVEN, Judge};
+use crate::judge::{self, DECISIVE, EVEN, Judge};
 use crate::options::Options;
 use crate::search::Fit;
 use crate::setup::Setup;
@@ -128,6 +128,17 @@ impl Posterior {
         self.settle(Some((&best, log)), null);
     }
 
+    /// Takes back what a residual alone speaks for where it is no more than the form may be off by of what lowered the null
+    /// model's mean squared error from `before`: commands that acted otherwise than they were recorded.
+    pub fn forgive(&mut self, null: &Fit, before: f64) {
+        let Some(alone) = &self.residual_alone else { return };
+        let beyond = judge::share_of_form(null.shooting_error - alone.shooting_error, before - 1.0);
+        if beyond < 1.0 {
+            self.log_alone = self.log_alone.min(self.log_no_gap + beyond.max(1e-6).ln());
+            self.settle(None, null);
+        }
+    }
+
     /// Probabilities from the weights; `best` is the best fit with its weight. Gives the weight of all that is a gap.
     fn settle(&mut self, best: Option<(&Fit, f64)>, null: &Fit) -> f64 {
         let mut log_unknown = self.log_alone;
@@ -185,6 +196,15 @@ pub fn weigh(
     let forms = best_forms(&mut fits);
     let (mut forms, count) = (forms, fits.len());
     let combined = combine::combinations(setup, null, &fits, &all_forms, &judge);
+    let (singles, combined): (Vec<Fit>, Vec<Fit>) =
+        combined.into_iter().partition(|fit| fit.hypothesis.effects.len() == 1);
+    for single in singles {
+        let effects = &single.hypothesis.effects;
+        let known = fits.iter_mut().find(|fit| fit.hypothesis.effects == *effects);
+        if let Some(known) = known.filter(|known| judge.cost(&single) < judge.cost(known)) {
+            *known = single;
+        }
+    }
     forms.resize(count + combined.len(), 1.0);
     fits.extend(combined);
     let judge = Judge::new(null, &fits);

@@ -260,6 +260,63 @@ fn lost_commands_are_named_and_the_rest_is_explained_by_what_arrived() {
     assert!(found.how_far.closed_by_effect.value > 0.95, "{:?}", found.how_far);
 }
 
+/// A mass on a rail with friction, pushed by another force every 80 ms that acts up to `most` seconds late, read every 10 ms.
+const SLIDE: &str = r#"
+format = 1
+name = "slide"
+[parameters]
+d = { value = 3.0, unit = "1/s", calibrate = [1.0, 9.0], std = 0.5 }
+[inputs]
+u = { signal = "push" }
+[state]
+q = { derivative = "v", initial = "position" }
+v = { derivative = "u - d*v" }
+[outputs]
+position = { value = "q", unit = "m", noise = 0.0005 }
+"#;
+
+#[test]
+fn late_commands_are_named_and_the_rest_is_explained_by_when_they_acted() {
+    let most = 0.03;
+    let mut random = ChaCha8Rng::seed_from_u64(5);
+    let (mut push, mut acted, mut samples) = (Held::default(), Vec::new(), Vec::new());
+    for k in 0..375 {
+        let at = 0.08 * f64::from(k);
+        push.times.push(at);
+        push.values.push(random.random_range(-5.0..5.0));
+        acted.push(at + most * random.random_range(0.0..1.0));
+    }
+    let (mut q, mut v, mut at) = (0.0, 0.0, 0);
+    const STEP: f64 = 1e-4;
+    for k in 0..300_000 {
+        let t = STEP * f64::from(k);
+        while at + 1 < acted.len() && acted[at + 1] <= t {
+            at += 1;
+        }
+        if k % 100 == 0 {
+            let z: f64 = StandardNormal.sample(&mut random);
+            samples.push(Sample { stamp: t, output: 0, value: q + 0.0005 * z });
+        }
+        // Velocity first, in the middle of the step.
+        q += 0.5 * STEP * v;
+        v += STEP * (push.values[at] - 3.0 * v);
+        q += 0.5 * STEP * v;
+    }
+    let inputs = vec![push];
+    let input_units = vec![String::new()];
+    let experiment = Experiment { inputs, input_units, samples, wraps: vec![None], ..Experiment::default() };
+    let equations = System::parse(SLIDE, "slide.toml").expect("valid").equations().expect("complete");
+    let found = diagnose_experiment(equations, experiment, "slide", &Options::default(), &|_, _| {})
+        .expect("a diagnosis")
+        .report;
+    eprintln!("DBG {:#?}", found.which.iter().map(|w| (w.class.clone(), w.probability)).collect::<Vec<_>>());
+    let names: Vec<&str> = found.which[0].effects.iter().map(|e| e.name.as_str()).collect();
+    assert_eq!(names, ["jitter"], "{}", found.summary);
+    let (spread, truth) = (&found.which[0].effects[0].parameters["spread"], most / 12.0_f64.sqrt());
+    assert!((spread.value / truth - 1.0).abs() < 0.15, "{spread:?}, not {truth}");
+    assert!(found.how_far.closed_by_effect.value > 0.9, "{:?}", found.how_far);
+}
+
 #[test]
 fn commands_that_scatter_or_are_lost_leave_evidence() {
     for (most, lost) in [(0.02, 0.0), (0.0, 0.15)] {

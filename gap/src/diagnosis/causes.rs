@@ -4,7 +4,7 @@ use parallax_model::effect::Effect;
 
 use crate::answers;
 use crate::posterior::Posterior;
-use crate::readings::{self, LostCommands, ReadingEffect};
+use crate::readings::{self, Acted, ReadingEffect};
 use crate::rows::Rows;
 use crate::search::Fit;
 use crate::setup::Setup;
@@ -37,7 +37,7 @@ pub(super) struct Models<'a> {
     /// Neither an effect nor a residual predicts what is left.
     by_chance: bool,
     mean_explained: bool,
-    lost: Option<&'a LostCommands>,
+    acted: Option<&'a Acted>,
 }
 
 impl<'a> Models<'a> {
@@ -48,7 +48,7 @@ impl<'a> Models<'a> {
         answers: &'a Posterior,
         rows: &Rows,
         (detected, named): (bool, bool),
-        lost: Option<&'a LostCommands>,
+        acted: Option<&'a Acted>,
     ) -> Self {
         let best = answers.leader(null);
         let left = rows.with_effect.mean_square();
@@ -65,7 +65,7 @@ impl<'a> Models<'a> {
             excess: least - 1.0,
             by_chance,
             mean_explained: least < MEAN_EXPLAINED.powi(2) || (!detected && by_chance),
-            lost,
+            acted,
         }
     }
 
@@ -78,7 +78,7 @@ impl<'a> Models<'a> {
                 && !self.clipped(r)
                 && !self.of_times(r, readings)
                 && !self.of_form(r)
-                && self.lost.is_none_or(|lost| lost.effect.place != r.place)
+                && self.acted.is_none_or(|acted| acted.effect.place != r.place)
                 && !readings::is_trace(r, readings)
         });
         chosen.cloned().collect()

@@ -43,6 +43,16 @@ impl Cholesky {
         Some(Cholesky { rows, log_determinant })
     }
 
+    /// (G + λ I)⁻¹ x.
+    pub(super) fn solve(&self, x: &[f64]) -> Vec<f64> {
+        let mut out = self.half(x);
+        for (k, row) in self.rows.iter().enumerate().rev() {
+            let later = dot(&row[1..], &out[k + 1..]);
+            out[k] = (out[k] - later) / row[0];
+        }
+        out
+    }
+
     /// U⁻ᵀ x: its square is xᵀ (G + λ I)⁻¹ x.
     pub(super) fn half(&self, x: &[f64]) -> Vec<f64> {
         let mut out = x.to_vec();
@@ -83,5 +93,7 @@ mod tests {
         let band = Cholesky::new(&gram, 0.5).unwrap();
         let half = band.half(&right);
         assert!((dot(&half, &half) - dot(&right, &x)).abs() < 1e-9);
+        let solution = band.solve(&right);
+        assert!(x.iter().zip(&solution).all(|(x, solved)| (x - solved).abs() < 1e-9));
     }
 }

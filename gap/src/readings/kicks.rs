@@ -3,13 +3,14 @@
 //!
 //! A command that is lost leaves all of that difference, one that is late a share of it, and one that arrives in time
 //! none. The shares that the innovations show tell lost commands from late ones, which their variance alone does not.
-//! Responses of commands that follow each other overlap, so that all shares are judged together: Gaussian shares exactly,
-//! by the marginal likelihood of a linear model with a banded information matrix (Rasmussen & Williams 2006, section 2.1);
-//! shares of nothing or everything by variational inference (spike and slab: Carbonetto & Stephens 2012).
+//! Responses of commands that follow each other overlap, so that all shares are judged together: Gaussian shares exactly
+//! ([`gaussian`]), shares of nothing or everything by variational inference (spike and slab: Carbonetto & Stephens 2012).
+
+mod gaussian;
 
 use rayon::prelude::*;
 
-use super::banded::{Cholesky, dot};
+use super::banded::dot;
 use crate::experiment::Held;
 use crate::filter::Noise;
 use crate::innovation::{Segment, walk_plain};
@@ -17,6 +18,8 @@ use crate::library;
 use crate::search::Fit;
 use crate::setup::Setup;
 use crate::statistics::median;
+
+pub(super) use gaussian::Late;
 
 /// Runs in which every command is held once, at most.
 const RUNS: f64 = 32.0;
@@ -27,6 +30,9 @@ const COVERED: f64 = 8.0;
 /// Share of the largest change of a command below which one counts as that large where it stands for another.
 const LEAST_CHANGE: f64 = 0.05;
 
+/// Share of the unit below which a command that could not have been later tells nothing of lateness.
+const LEAST_LATE: f64 = 0.02;
+
 /// Sweeps of the variational inference, at most.
 const SWEEPS: usize = 60;
 
@@ -35,10 +41,6 @@ const SETTLED: f64 = 1e-4;
 
 /// Share of commands that is lost, where the inference begins.
 const FIRST_RATE: f64 = 0.05;
-
-/// Points at which a spread is tried first, and steps of the search between the best of them.
-const GRID: usize = 17;
-const GOLDEN: usize = 10;
 
 /// A command whose value differs from the one before.
 #[derive(Clone, Debug)]
@@ -66,22 +68,13 @@ pub(super) struct Kicks {
     order: Vec<usize>,
     pub(super) stamp: Vec<f64>,
     pub(super) whitened: Vec<f64>,
+    /// Sum of the logarithms of the innovations' variances, and each of them in the order of the walk.
+    volume: f64,
+    log_variance: Vec<f64>,
     /// ⟨response k, innovations⟩.
     along: Vec<f64>,
     /// ⟨response k, response k + d⟩ for each k and d.
     gram: Vec<Vec<f64>>,
-}
-
-/// What the innovations say of commands that are late by chance.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Late {
-    /// Standard deviation of the time by which they are late (s), and that of this estimate.
-    pub(super) spread: f64,
-    pub(super) std: f64,
-    /// Log evidence against commands that are all late by the same time.
-    pub(super) log_evidence: f64,
-    /// Log likelihood at the peak against commands in time.
-    pub(super) gain: f64,
 }
 
 /// What the innovations say of commands that are lost.
@@ -161,6 +154,7 @@ impl Kicks {
         kicks.retain(|kick| kick.late > 0.0 && !kick.response.is_empty());
         kicks.sort_by_key(|kick| kick.command);
         let whitened = plain.whitened();
+        let log_variance: Vec<f64> = plain.variance.iter().map(|s| s.ln()).collect();
         let innovations: Vec<f64> = order.iter().map(|k| whitened[*k]).collect();
         let finite = innovations.iter().chain(kicks.iter().flat_map(|k| &k.response)).all(|v| v.is_finite());
         if kicks.len() < 10 || !finite {
@@ -182,34 +176,91 @@ impl Kicks {
             order,
             stamp: plain.stamp,
             whitened,
+            volume: log_variance.iter().sum(),
+            log_variance,
             along,
             gram,
         })
     }
 
-    /// Sum over all commands of the squared response of each reading, in the order of the walk: the variance that shares
-    /// of unit variance add.
-    pub(super) fn squares(&self) -> Vec<f64> {
-        self.squares_of(|_| 1.0)
+    /// The same with every command late by `unit` (s): responses in proportion to the time. What one shows that could be
+    /// late by hardly anything is not believed.
+    pub(super) fn in_units_of(mut self, unit: f64) -> Self {
+        let scale = |kick: &Kick| if kick.late < LEAST_LATE * unit { 0.0 } else { unit / kick.late };
+        let scales: Vec<f64> = self.kicks.iter().map(scale).collect();
+        self.scale(&scales);
+        self.kicks.iter_mut().for_each(|kick| kick.late = unit);
+        self
     }
 
     /// The same if every command changed by as much as another one, half of the log away, does.
-    pub(super) fn exchanged_squares(&self) -> Vec<f64> {
-        let count = self.kicks.len();
-        let least = LEAST_CHANGE * self.kicks.iter().map(|k| k.change.abs()).fold(0.0, f64::max);
+    pub(super) fn exchanged(&self) -> Self {
+        let (count, least) = (self.kicks.len(), self.least_change());
         let other = |k: usize| self.kicks[(k + count / 2) % count].change;
-        self.squares_of(|k| other(k) / self.kicks[k].change.abs().max(least))
+        let scales: Vec<f64> = (0..count).map(|k| other(k) / self.kicks[k].change.abs().max(least)).collect();
+        let mut kicks = self.clone();
+        kicks.scale(&scales);
+        kicks
     }
 
-    fn squares_of(&self, scale: impl Fn(usize) -> f64) -> Vec<f64> {
+    fn scale(&mut self, scales: &[f64]) {
+        for (k, kick) in self.kicks.iter_mut().enumerate() {
+            kick.response.iter_mut().for_each(|r| *r *= scales[k]);
+            self.along[k] *= scales[k];
+            for (d, g) in self.gram[k].iter_mut().enumerate() {
+                *g *= scales[k] * scales[k + d];
+            }
+        }
+    }
+
+    /// The same if these shares were in the innovations as well.
+    pub(super) fn with(&self, shares: &[f64]) -> Self {
+        let mut kicks = self.clone();
+        let more = self.by_gram(shares);
+        kicks.energy += 2.0 * dot(shares, &self.along) + dot(shares, &more);
+        kicks.along.iter_mut().zip(&more).for_each(|(along, more)| *along += more);
+        kicks
+    }
+
+    /// The same on part of the log: readings whose stamps are `within` it, and commands whose responses begin there.
+    pub(super) fn part(&self, within: impl Fn(f64) -> bool) -> Self {
+        let mut part = self.clone();
+        let inside: Vec<bool> = self.order.iter().map(|at| within(self.stamp[*at])).collect();
+        let volumes = self.order.iter().zip(&inside).filter(|(_, inside)| **inside);
+        part.volume = volumes.map(|(at, _)| self.log_variance[*at]).sum();
+        part.readings = inside.iter().filter(|inside| **inside).count();
+        let innovation =
+            |(k, inside): (usize, &bool)| if *inside { self.whitened[self.order[k]] } else { 0.0 };
+        let innovations: Vec<f64> = inside.iter().enumerate().map(innovation).collect();
+        part.energy = innovations.iter().map(|e| e * e).sum();
+        for (along, kick) in part.along.iter_mut().zip(&part.kicks) {
+            *along = dot(&kick.response, &innovations[kick.first..]);
+        }
+        let own = |kick: &Kick| if inside[kick.first] { 1.0 } else { 0.0 };
+        let scales: Vec<f64> = part.kicks.iter().map(own).collect();
+        part.scale(&scales);
+        part
+    }
+
+    /// The commands, by their index.
+    pub(super) fn commands(&self) -> Vec<usize> {
+        self.kicks.iter().map(|kick| kick.command).collect()
+    }
+
+    /// Sum over all commands of the squared response of each reading, in the order of the walk: the variance that shares
+    /// of unit variance add.
+    pub(super) fn squares(&self) -> Vec<f64> {
         let mut squares = vec![0.0; self.readings];
-        for (k, kick) in self.kicks.iter().enumerate() {
-            let scale = scale(k);
+        for kick in &self.kicks {
             for (at, r) in self.order[kick.first..].iter().zip(&kick.response) {
-                squares[*at] += (scale * r).powi(2);
+                squares[*at] += r * r;
             }
         }
         squares
+    }
+
+    fn least_change(&self) -> f64 {
+        LEAST_CHANGE * self.kicks.iter().map(|k| k.change.abs()).fold(0.0, f64::max)
     }
 
     /// By how much commands were late, half of them more (s).
@@ -230,65 +281,10 @@ impl Kicks {
         out
     }
 
-    /// −2 log likelihood, up to a constant, of shares of any mean and of the given standard deviation in units of the
-    /// innovations' own, which is free as well and comes with it, squared.
-    fn cost(&self, ratio: f64) -> (f64, f64) {
-        let ones = self.by_gram(&vec![1.0; self.kicks.len()]);
-        let total: f64 = ones.iter().sum();
-        let (mut ee, mut em, mut mm) = (self.energy, self.along.iter().sum::<f64>(), total);
-        let mut volume = 0.0;
-        if ratio > 0.0 {
-            let precision = ratio.powi(-2);
-            let Some(band) = Cholesky::new(&self.gram, precision) else {
-                return (f64::INFINITY, 1.0);
-            };
-            let (e, m) = (band.half(&self.along), band.half(&ones));
-            ee -= dot(&e, &e);
-            em -= dot(&e, &m);
-            mm -= dot(&m, &m);
-            volume = band.log_determinant - self.kicks.len() as f64 * precision.ln();
-        }
-        let left = if mm > 0.0 { ee - em * em / mm } else { ee };
-        let n = self.readings as f64;
-        let variance = left.max(1e-9) / n;
-        (n * variance.ln() + volume, variance)
-    }
-
     /// −2 log likelihood of commands that are all in time.
     fn in_time(&self) -> f64 {
         let n = self.readings as f64;
         n * (self.energy / n).ln()
-    }
-
-    /// Commands that are late by a time of any mean that scatters.
-    pub(super) fn late(&self, most: f64) -> Late {
-        let unit = self.lateness();
-        // From where it changes nothing to where commands are others.
-        let typical = (self.readings as f64 / self.gram.iter().map(|row| row[0]).sum::<f64>()).sqrt();
-        let (low, high) = ((1e-2 * typical).ln(), (1e2 * typical).min(most / unit).ln());
-        if low >= high {
-            return Late { spread: 0.0, std: 0.0, log_evidence: f64::NEG_INFINITY, gain: 0.0 };
-        }
-        let at = |x: f64| -0.5 * self.cost(x.exp()).0;
-        let step = (high - low) / (GRID - 1) as f64;
-        let grid: Vec<(f64, f64)> = (0..GRID).map(|k| low + k as f64 * step).map(|x| (x, at(x))).collect();
-        let best = grid.iter().max_by(|a, b| a.1.total_cmp(&b.1)).map_or(low, |p| p.0);
-        let share = 0.5 * (5.0_f64.sqrt() - 1.0);
-        let (mut a, mut b) = ((best - step).max(low), (best + step).min(high));
-        for _ in 0..GOLDEN {
-            let (left, right) = (b - share * (b - a), a + share * (b - a));
-            if at(left) > at(right) { b = right } else { a = left }
-        }
-        let x = 0.5 * (a + b);
-        let top = at(x);
-        // The curvature over a step in which the likelihood changes visibly.
-        let near = 0.1;
-        let curvature = (2.0 * top - at(x - near) - at(x + near)) / (near * near);
-        let width = if curvature > 0.0 { curvature.powf(-0.5).min(high - low) } else { high - low };
-        let log_evidence =
-            top - at(f64::NEG_INFINITY) + (std::f64::consts::TAU.sqrt() * width / (high - low)).min(1.0).ln();
-        let spread = x.exp() * self.cost(x.exp()).1.sqrt() * unit;
-        Late { spread, std: width * spread, log_evidence, gain: top + 0.5 * self.in_time() }
     }
 
     /// Commands of which some are lost: one p for each, in a factorised posterior.
@@ -372,9 +368,10 @@ mod tests {
     use rand_distr::{Distribution, StandardNormal};
 
     use super::*;
+    use crate::statistics::root_mean_square;
 
     /// Commands whose responses fade over a few readings, with shares that `share` draws.
-    fn kicks(share: impl Fn(&mut ChaCha8Rng) -> f64, size: f64) -> Kicks {
+    fn kicks(mut share: impl FnMut(&mut ChaCha8Rng) -> f64, size: f64) -> Kicks {
         let mut random = ChaCha8Rng::seed_from_u64(5);
         let (count, length) = (400_usize, 6_usize);
         let readings = count + length;
@@ -405,6 +402,8 @@ mod tests {
             order: (0..readings).collect(),
             stamp,
             whitened: innovations,
+            volume: 0.0,
+            log_variance: vec![0.0; readings],
             along,
             gram,
         }
@@ -425,7 +424,27 @@ mod tests {
         assert!((late.spread / spread - 1.0).abs() < 0.3, "{} against {spread}", late.spread);
         assert!(late.log_evidence > 20.0);
 
+        // What each was late by, told by six readings each.
+        let mut random = ChaCha8Rng::seed_from_u64(9);
+        let drawn: Vec<f64> = (0..400).map(|_| random.random_range(0.0..0.6)).collect();
+        let mut next = drawn.iter();
+        let tardy = kicks(|_| *next.next().expect("one for each"), 30.0);
+        let late = tardy.late(0.05);
+        let found = tardy.shares(&late).expect("a solution");
+        let error =
+            |k: &[f64]| root_mean_square(&k.iter().zip(&drawn).map(|(a, b)| a - b).collect::<Vec<_>>());
+        assert!(error(&found) < 0.5 * error(&vec![0.3; 400]), "{}", error(&found));
+        // Those that are late already by as much have the same times, and what is left is little.
+        let rest = kicks(|_| 0.0, 30.0).with(&drawn);
+        let again = rest.late(0.05);
+        assert!((again.spread / late.spread - 1.0).abs() < 0.05, "{} and {}", again.spread, late.spread);
+
         let punctual = kicks(|_| 0.0, 3.0);
+        let late = punctual.late(0.05);
+        let gain = |kicks: &Kicks, late: &Late| kicks.plain() - kicks.scattered(&vec![0.0; 400], late);
+        assert!(gain(&punctual, &late) < 10.0 && gain(&tardy, &tardy.late(0.05)) > 2000.0);
+        let half = tardy.part(|stamp| stamp < 2.0);
+        assert!((half.late(0.05).spread / again.spread - 1.0).abs() < 0.2);
         assert!(punctual.lost().gain < 3.0 && punctual.late(0.05).log_evidence < 1.0);
     }
 

@@ -10,9 +10,11 @@
 //! evidence, as those of the other hypotheses. A model of the mean cannot lower an error that has no mean, so what an
 //! effect explains is its part of the log predictive density of held-out readings.
 
+mod acted;
 mod banded;
 mod doubt;
 mod kicks;
+mod late;
 pub mod lattice;
 mod limit;
 mod local;
@@ -29,9 +31,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::report::Value;
 
+pub(crate) use acted::{Acted, acted};
 pub(crate) use doubt::contradicted;
 pub(crate) use limit::limit;
-pub(crate) use lost::{LostCommands, lost};
 pub(crate) use raw::Raw;
 pub use raw::{Suspicion, Suspicious, cleaned, examine};
 pub(crate) use scatter::noise_beside;

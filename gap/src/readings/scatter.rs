@@ -12,6 +12,7 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use super::kicks::Kicks;
+use super::lost::{FEWEST, RAREST};
 use super::peak::peak;
 use super::{LogDensity, ReadingEffect, TRACE, found};
 use crate::experiment::Held;
@@ -108,7 +109,7 @@ pub fn scatter(setup: &Setup, fit: &Fit) -> Vec<ReadingEffect> {
             // The variance grows with the rate.
             scale: lost.rate.sqrt(),
             evidence: -2.0 * (lost.gain - of_mean),
-            likelier: !times,
+            likelier: !times && (lost.commands.len() >= FEWEST || lost.rate >= RAREST),
             certain: false,
         };
         // What wants to be larger than it can be is something else.
@@ -254,7 +255,7 @@ fn of_commands(setup: &Setup, kicks: &Kicks) -> Option<Parts> {
         let innovations = own.iter().map(|&k| kicks.whitened[k]).collect();
         Sensitivity { innovations, size: own.iter().map(|&k| squares[k].sqrt()).collect() }.usable()
     };
-    let (squares, exchanged) = (kicks.squares(), kicks.exchanged_squares());
+    let (squares, exchanged) = (kicks.squares(), kicks.exchanged().squares());
     let exchanged = of(&train, &exchanged).map_or(0.0, |exchanged| exchanged.by_size().max(0.0));
     Some(Parts { train: of(&train, &squares)?, test: of(&test, &squares)?, exchanged })
 }
@@ -267,11 +268,17 @@ struct Parts {
     exchanged: f64,
 }
 
-/// Log predictive densities of held-out readings without and with this share of an input's commands lost.
-pub(super) fn density_of_losses(setup: &Setup, fit: &Fit, input: usize, rate: f64) -> Option<LogDensity> {
-    let kicks = Kicks::new(setup, fit, &open_noise(setup, fit), input, f64::INFINITY)?;
+/// Log predictive densities of held-out readings without and with commands that come `late` (s), or not at all, by shares of
+/// this size.
+pub(super) fn density_at_input(
+    setup: &Setup,
+    fit: &Fit,
+    input: usize,
+    (late, share): (f64, f64),
+) -> Option<LogDensity> {
+    let kicks = Kicks::new(setup, fit, &open_noise(setup, fit), input, late)?;
     let Parts { train, test, .. } = of_commands(setup, &kicks)?;
-    Some(densities(&train, &test, rate.sqrt()))
+    Some(densities(&train, &test, share))
 }
 
 /// Commands that act up to √12 `spread` late or, on average, at their time.

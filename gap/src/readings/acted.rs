@@ -1,0 +1,118 @@
+//! Commands that acted otherwise than they were recorded, one by one: those that never arrived ([`super::lost`]), and those
+//! that came late by chance ([`super::late`]).
+//!
+//! To a model that believes the recorded commands each of them is a kick from nowhere, which it takes for noise. Once it is
+//! known what acted, the noise is the sensors' again, and what else there is shows. So they are looked for in rounds, under
+//! the nominal model and under the leading answer, and believed where stating each of them costs less than it explains.
+
+use parallax_model::effect::{Effect, Place, PlaceKind};
+
+use super::{ReadingEffect, late, lost};
+use crate::experiment::{Experiment, Held};
+use crate::hypothesis::EffectAt;
+use crate::judge::Judge;
+use crate::options::Options;
+use crate::posterior::Posterior;
+use crate::search::{self, Fit, INEXACT};
+use crate::setup::Setup;
+
+/// Log likelihood by which commands that acted otherwise must explain more than nothing.
+pub(super) const TOLD: f64 = 10.0;
+
+/// Difference of −2 log evidence by which they must beat every other answer.
+const DECISIVE: f64 = 20.0;
+
+/// Commands of one input that acted otherwise than they were recorded.
+#[derive(Clone, Debug)]
+pub(crate) struct Acted {
+    /// The input.
+    pub(super) input: usize,
+    /// The commands as they were recorded.
+    pub(super) recorded: Held,
+    /// What acted, and when.
+    pub(super) acted: Held,
+    /// What happened to them, as an effect.
+    pub(crate) effect: ReadingEffect,
+    /// −2 log evidence with them, and the mean squared residual of short windows, in noise units squared.
+    pub(super) cost: f64,
+    pub(super) error: f64,
+}
+
+impl Acted {
+    /// The recording with what acted in place of what was sent.
+    pub(crate) fn replaced(&self, mut experiment: Experiment) -> Experiment {
+        experiment.inputs[self.input] = self.acted.clone();
+        experiment
+    }
+
+    /// The setup with the commands as they were recorded.
+    pub(crate) fn as_recorded(&self, setup: &Setup) -> Setup {
+        let mut setup = setup.clone();
+        setup.experiment.inputs[self.input] = self.recorded.clone();
+        setup
+    }
+}
+
+/// What became of the commands of one input, at this place, under a hypothesis.
+type Way = fn(&Setup, &Fit, usize, &Place) -> Option<Acted>;
+
+/// Commands that acted otherwise, where that explains more than every other answer; `raw` is the recording before it was
+/// thinned.
+#[must_use]
+pub(crate) fn acted(
+    setup: &Setup,
+    raw: &Experiment,
+    null: &Fit,
+    answers: &Posterior,
+    options: &Options,
+) -> Option<Acted> {
+    let leader = answers.leader(null);
+    let others = [Some(null), Some(leader), answers.residual(true), answers.residual(false)];
+    let best = others.into_iter().flatten().map(|f| f.innovation.evidence_cost).fold(f64::INFINITY, f64::min);
+    let system = setup.equations.system();
+    let ways: [(Effect, Way); 2] = [(Effect::Drops, lost::under), (Effect::Jitter, late::under)];
+    let judge = Judge::new(null, &[]);
+    let mut leading: Option<Acted> = None;
+    for (input, entry) in system.inputs.iter().enumerate() {
+        let place = Place::new(PlaceKind::Input, entry.name.clone());
+        // Averaged commands are no longer those that were sent.
+        if raw.inputs[input].times != setup.experiment.inputs[input].times {
+            continue;
+        }
+        for (effect, under) in ways {
+            let at = EffectAt { effect, place: place.clone() };
+            let stated =
+                system.effects.iter().any(|e| e.name == effect.name() && e.place == place.to_string());
+            if stated || !options.allows(&at) || setup.stop.asked() {
+                continue;
+            }
+            // Under the nominal model first: what they leave for others to explain is looked for afterwards.
+            let bases =
+                [null, leader].into_iter().take(if leader.hypothesis.effects.is_empty() { 1 } else { 2 });
+            let believed = |base: &Fit| {
+                under(setup, base, input, &place).filter(|acted| {
+                    // What is less than a leading effect's form may be off by is its form.
+                    let form = base.shooting_error <= INEXACT
+                        && !base.hypothesis.effects.is_empty()
+                        && !judge.is_material_from(base.shooting_error, acted.error);
+                    acted.cost < best - DECISIVE && !form
+                })
+            };
+            if let Some(acted) = bases.into_iter().find_map(believed)
+                && leading.as_ref().is_none_or(|other| acted.cost < other.cost)
+            {
+                leading = Some(acted);
+            }
+        }
+    }
+    leading
+}
+
+/// The same hypothesis, fitted to a recording with other commands.
+pub(super) fn refitted(setup: &Setup, base: &Fit) -> Fit {
+    let null = search::null(setup);
+    if base.hypothesis.effects.is_empty() {
+        return null;
+    }
+    search::fit_part(setup, &null, base.hypothesis.clone(), base)
+}

@@ -1,0 +1,150 @@
+//! Commands that came late by chance, one by one: the machine went on with the one before for so long.
+//!
+//! Responses are in proportion to the lateness where that is short beside what the plant does meanwhile, so that the most
+//! likely lateness of all commands solves one banded linear system; where it is not, again from there (Gauss–Newton on
+//! hidden times with a Gaussian prior, weighed by Laplace's approximation: Bishop 2006, section 4.4).
+
+use parallax_model::effect::{Effect, Place};
+
+use super::acted::{Acted, TOLD, refitted};
+use super::found;
+use super::kicks::{Kicks, Late};
+use super::scatter::{self, MOST_PERIODS};
+use crate::experiment::Held;
+use crate::hypothesis::{EffectAt, Slot};
+use crate::library;
+use crate::report::Value;
+use crate::search::{self, Fit, INEXACT};
+use crate::setup::Setup;
+use crate::statistics::median;
+
+/// Rounds in which times are moved, at most.
+const ROUNDS: usize = 3;
+
+/// Log evidence from which times are moved at all: what scatters much hides in the noise that it is taken for, until the
+/// first of it is known.
+const WORTH_A_LOOK: f64 = 2.0;
+
+/// Messages do not overtake each other: the least time between two (s).
+const APART: f64 = 1e-9;
+
+/// What one look at the innovations says of the times of commands.
+#[derive(Clone)]
+struct Look {
+    /// The commands that it speaks of, by their index, and by how much each was late, in units.
+    commands: Vec<usize>,
+    shares: Vec<f64>,
+    late: Late,
+    /// −2 log likelihood on the time that is fitted: of commands that scatter so, and of innovations as they are.
+    scattered: f64,
+    plain: f64,
+    /// Log likelihood against that of commands whose changes are exchanged.
+    own: f64,
+}
+
+/// The times at which the commands of one input acted under a hypothesis.
+pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> Option<Acted> {
+    let recorded = &setup.experiment.inputs[input];
+    let mut between: Vec<f64> = recorded.times.windows(2).map(|t| t[1] - t[0]).collect();
+    if between.is_empty() {
+        return None;
+    }
+    let period = median(&mut between);
+    let (most, unit) = (MOST_PERIODS * period, period.min(setup.period));
+    let look = |clean: &Setup, fit: &Fit| look(clean, fit, (input, recorded), (unit, most));
+    // All by their mean, where that alone explains something.
+    let in_time = |clean: &mut Setup, fit: Fit| {
+        let Some(mean) = mean_lateness(clean, &fit, place) else { return fit };
+        clean.experiment.inputs[input].times.iter_mut().for_each(|time| *time += mean);
+        refitted(clean, base)
+    };
+    let (mut clean, mut last) = (setup.clone(), look(setup, base)?);
+    if last.late.log_evidence < WORTH_A_LOOK && last.late.gain > TOLD {
+        let fit = in_time(&mut clean, base.clone());
+        last = look(&clean, &fit)?;
+    }
+    if last.late.log_evidence < WORTH_A_LOOK {
+        return None;
+    }
+    let mut best: Option<(f64, f64, Setup, Look)> = None;
+    for _ in 0..ROUNDS {
+        clean.experiment.inputs[input] = moved(recorded, &last, unit);
+        let fit = refitted(&clean, base);
+        let fit = in_time(&mut clean, fit);
+        last = look(&clean, &fit)?;
+        // Mean and spread are paid for. Whatever is still to come does not count: times that explain the readings do so
+        // once they are moved.
+        let price = last.scattered - last.plain + 2.0 * (last.commands.len() as f64).ln();
+        let cost = fit.innovation.evidence_cost + price.max(0.0);
+        if best.as_ref().is_some_and(|(least, ..)| cost > least - 1.0) {
+            break;
+        }
+        // What wants to be larger than it can be is something else.
+        if fit.shooting_error <= INEXACT && last.late.spread < 0.95 * most {
+            best = Some((cost, fit.shooting_error, clean.clone(), last.clone()));
+        }
+    }
+    let (cost, error, clean, last) = best?;
+    let told = -0.5 * (cost - base.innovation.evidence_cost);
+    if told.min(last.own) < TOLD {
+        return None;
+    }
+    let value = Value { value: last.late.spread, std: last.late.std, unit: "s".into() };
+    let density = scatter::density_at_input(setup, base, input, (unit, last.late.spread / unit));
+    let effect =
+        found("jitter", place.to_string(), ("spread", value), -2.0 * told, true, density.unwrap_or_default());
+    let acted = clean.experiment.inputs[input].clone();
+    Some(Acted { input, recorded: recorded.clone(), acted, effect, cost, error })
+}
+
+/// How late all commands still are (s), where that explains something: calibrated parameters, fitted meanwhile, can stand in
+/// for much of it.
+fn mean_lateness(setup: &Setup, fit: &Fit, place: &Place) -> Option<f64> {
+    let delay = EffectAt { effect: Effect::Delay, place: place.clone() };
+    let mut stated = setup.equations.system().effects.iter();
+    if fit.hypothesis.effects.contains(&delay)
+        || stated.any(|e| e.name == delay.effect.name() && e.place == place.to_string())
+    {
+        return None;
+    }
+    let mut effects = fit.hypothesis.effects.clone();
+    effects.push(delay);
+    let with = search::fit_part(setup, fit, library::hypothesis(setup, &effects), fit);
+    let slot = Slot::Effect { effect: effects.len() - 1, parameter: 0 };
+    let mean = with.theta()[with.hypothesis.fitted.iter().position(|f| f.slot == slot)?];
+    (with.innovation.evidence_cost < fit.innovation.evidence_cost).then_some(mean)
+}
+
+/// Looks at the innovations of a model under commands that were moved already; times in units of `unit` (s).
+fn look(
+    clean: &Setup,
+    fit: &Fit,
+    (input, recorded): (usize, &Held),
+    (unit, most): (f64, f64),
+) -> Option<Look> {
+    let kicks = Kicks::new(clean, fit, &fit.innovation.noise, input, unit)?.in_units_of(unit);
+    let (commands, times) = (kicks.commands(), &clean.experiment.inputs[input].times);
+    let already: Vec<f64> = commands.iter().map(|k| (times[*k] - recorded.times[*k]) / unit).collect();
+    let all = kicks.with(&already);
+    let late = all.late(most);
+    let shares = all.shares(&late)?;
+    let own = late.gain - all.exchanged().late(most).gain;
+    let trained = |stamp: f64| clean.train.iter().any(|s| (s.from..s.to).contains(&stamp));
+    let part = kicks.part(trained);
+    let (scattered, plain) = (part.scattered(&already, &late), part.plain());
+    Some(Look { commands, shares, late, scattered, plain, own })
+}
+
+/// The commands at the times that the look found, in their order.
+fn moved(recorded: &Held, look: &Look, unit: f64) -> Held {
+    let mut held = recorded.clone();
+    for (k, share) in look.commands.iter().zip(&look.shares) {
+        held.times[*k] += share * unit;
+    }
+    let mut last = f64::NEG_INFINITY;
+    for time in &mut held.times {
+        *time = time.max(last + APART);
+        last = *time;
+    }
+    held
+}
