@@ -66,6 +66,46 @@ pub fn changes<const N: usize>(
     out
 }
 
+/// Where one input's commands begin in a recording.
+#[derive(Clone, Copy, Debug)]
+pub struct Beginning {
+    /// Stamp of the first one (s).
+    stamp: f64,
+    /// How much later it acts (s).
+    late: f64,
+}
+
+impl Beginning {
+    /// Whether a reading that is stamped `stamp` (s) and taken at `taken` shows a machine under an earlier command, although it
+    /// is stamped later: nobody recorded that command.
+    #[must_use]
+    pub fn hides(&self, stamp: f64, taken: f64) -> bool {
+        stamp >= self.stamp && taken - self.late < self.stamp - 1e-9
+    }
+}
+
+/// Where the commands of each input begin, recording by recording.
+#[must_use]
+pub fn beginnings<const N: usize>(
+    experiment: &Experiment,
+    changes: &[Vec<Change<N>>],
+) -> Vec<Vec<Beginning>> {
+    let mut found: Vec<Vec<Beginning>> = vec![Vec::new(); experiment.parts.len().max(1)];
+    for channel in changes {
+        let mut next = 0;
+        for change in channel {
+            let part = experiment.part(change.stamp);
+            if part < next {
+                continue;
+            }
+            let late = change.time.value - change.stamp;
+            found[part].push(Beginning { stamp: change.stamp, late });
+            next = part + 1;
+        }
+    }
+    found
+}
+
 /// What is between the stamps of an output's readings and the times at which they are taken.
 #[derive(Clone, Debug)]
 pub struct Clock<const N: usize>(Vec<(Effect, Dual<N>)>);

@@ -41,6 +41,8 @@ pub struct EquationsSimulator<'a> {
     extra_std: Vec<f64>,
     /// Outputs whose sensor has limits.
     clipped: Vec<Clipped>,
+    /// Standard deviation of each output's noise; zero where it is not known.
+    noise: Vec<f64>,
 }
 
 /// An output whose sensor has limits.
@@ -85,12 +87,27 @@ impl<'a> EquationsSimulator<'a> {
         let clipped = limited
             .map(|(k, output)| Clipped { output, unclipped: outputs + k, resting: f64::INFINITY })
             .collect();
-        EquationsSimulator { plant, slots, experiment, step, timed, full, plain, events, extra_std, clipped }
+        let noise = vec![0.0; outputs];
+        EquationsSimulator {
+            plant,
+            slots,
+            experiment,
+            step,
+            timed,
+            full,
+            plain,
+            events,
+            extra_std,
+            clipped,
+            noise,
+        }
     }
 
-    /// The same simulator with the standard deviation of each output's noise: it tells which readings are at a sensor's limit.
+    /// The same simulator with the standard deviation of each output's noise: it tells which readings are at a sensor's limit,
+    /// and what a reading is off by that nothing can predict.
     #[must_use]
     pub fn with_noise(mut self, noise: &[f64]) -> Self {
+        self.noise = noise.to_vec();
         for clipped in &mut self.clipped {
             clipped.resting = RESTING * noise[clipped.output];
         }
@@ -204,6 +221,8 @@ struct Table {
     origins: Vec<f64>,
     /// The recording of each event.
     parts: Vec<u32>,
+    /// Readings that show what commands did that were sent before the recording began; empty where nothing is late.
+    unrecorded: Vec<bool>,
     /// For each event and input, the index of the change that holds.
     current: Vec<u32>,
     /// The same for what a reading shows: a late reading of a command has values of its own.
@@ -262,6 +281,10 @@ fn table<const N: usize>(simulator: &EquationsSimulator<'_>, theta: &[f64], extr
         (delayed || commands::is_late(&simulator.plant, output)) && system.shows_command(output)
     };
     let late: Vec<bool> = (0..experiment.wraps.len()).map(late).collect();
+    let anything_late =
+        delayed || (0..experiment.wraps.len()).any(|o| commands::is_late(&simulator.plant, o));
+    let beginnings: Vec<Vec<commands::Beginning>> =
+        if anything_late { commands::beginnings(experiment, &changes) } else { Vec::new() };
     let mut between: Vec<Vec<Dual<N>>> = vec![Vec::new(); inputs];
     for (time, what) in all {
         let reading = match what {
@@ -284,6 +307,13 @@ fn table<const N: usize>(simulator: &EquationsSimulator<'_>, theta: &[f64], extr
             None => table.shown.extend_from_slice(&current),
         }
         table.events.push(Event { time: time.value, reading });
+        if anything_late {
+            let begins = |reading: &Reading| beginnings.get(experiment.part(reading.stamp));
+            let unrecorded = |reading: Reading| {
+                begins(&reading).is_some_and(|all| all.iter().any(|b| b.hides(reading.stamp, time.value)))
+            };
+            table.unrecorded.push(reading.is_some_and(unrecorded));
+        }
         table.parts.push(experiment.part(time.value) as u32);
         table.origins.push(experiment.origin(time.value));
         table.times_by.extend_from_slice(&time.gradient[..count]);
@@ -380,7 +410,24 @@ impl EquationsRun<'_> {
     /// Predicts one output, to be compared. A reading that is not at its sensor's limit shows the truth (a censored
     /// observation: Tobin 1958): where the prediction lies beyond that limit, it counts as if there were none, and is pulled
     /// back. The derivative of what is clipped is zero, and would leave it there.
+    ///
+    /// What a late reading shows of before the recording began, nobody can predict: it counts as off by the noise, whatever the
+    /// hypothesis, so that all are judged by as many readings.
     fn compared(&mut self, output: usize, at: &At, motion: &Motion, by: &mut Gradient) -> F64x16 {
+        let mut value = self.within_limits(output, at, motion, by);
+        for (lane, event) in at.iter().enumerate() {
+            let Some(event) = event.filter(|event| self.table.unrecorded.get(*event) == Some(&true)) else {
+                continue;
+            };
+            let Some(reading) = self.table.events[event].reading else { continue };
+            value[lane] = reading.value - self.simulator.noise[reading.output];
+            by.by.iter_mut().for_each(|by| by[lane] = 0.0);
+        }
+        value
+    }
+
+    /// Predicts one output, held to its sensor's limits where the reading is at one.
+    fn within_limits(&mut self, output: usize, at: &At, motion: &Motion, by: &mut Gradient) -> F64x16 {
         let mut value = self.machine.observe(output, &self.drive, motion, by);
         let clipped = self.simulator.clipped.iter().find(|clipped| clipped.output == output);
         let Some(clipped) = clipped.filter(|clipped| clipped.resting.is_finite()) else { return value };

@@ -21,6 +21,10 @@ const MATERIAL: f64 = 0.005;
 /// The same of a further effect at the place of another one: nobody knows an effect's form better.
 const MATERIAL_BESIDE: f64 = 0.03;
 
+/// Share of the gap's square below which nothing is an effect: a thousandth of the motion, to which no two integrations of the
+/// same equations agree.
+const NUMERICAL: f64 = 1e-6;
+
 /// Share of the gap up to which one hypothesis may explain more than another because of its form alone.
 const FORM: f64 = 0.1;
 
@@ -65,11 +69,13 @@ impl Judge {
         let exact = best.shooting_error <= INEXACT;
         let bounded = !exact || null.shooting_error <= INEXACT;
         // Where some hypothesis reaches the noise and the null does not, the null's two losses are of different worlds:
-        // the best hypothesis with the null's states stands in for it.
+        // the best hypothesis with the null's states stands in for it: the best by both, for one that is good by the windows
+        // alone would make a gain of what it lacks by innovations.
         let mut plain = null;
         if !bounded {
+            let both = |f: &Fit| f.innovation.evidence_cost + best.independence * f.shooting_cost;
             let same = fits.iter().filter(|f| f.innovation.pass.states() == states);
-            plain = same.min_by(|a, b| a.shooting_cost.total_cmp(&b.shooting_cost)).unwrap_or(null);
+            plain = same.min_by(|a, b| both(a).total_cmp(&both(b))).unwrap_or(null);
         }
         let plain = (plain.shooting_cost, plain.innovation.evidence_cost);
         let gap = (null.shooting_error - 1.0).max(0.0);
@@ -102,7 +108,9 @@ impl Judge {
     /// (`complete`): a form that is off leaves more than one effect takes.
     #[must_use]
     pub fn is_worth_or(&self, fit: &Fit, base: &Fit, complete: impl FnOnce() -> bool) -> bool {
-        self.is_worth(fit, base) || (base.shooting_error <= INEXACT && self.gains(fit, base) && complete())
+        let same = || (base.shooting_error - fit.shooting_error).abs() < NUMERICAL * self.gap;
+        self.is_worth(fit, base)
+            || (base.shooting_error <= INEXACT && self.gains(fit, base) && !same() && complete())
     }
 
     /// Whether a further effect at a place of its own brings more than [`WORTH`] by both losses.

@@ -3,6 +3,7 @@
 
 mod rotor;
 
+use parallax_gap::equations::EquationsSimulator;
 use parallax_gap::simulator::{At, Event, Gradient, LANES, Motion, Simulator};
 use parallax_model::effect::{Effect, Place, PlaceKind};
 use parallax_model::lanes::F64x16;
@@ -263,4 +264,43 @@ fn a_reading_off_its_sensors_limit_pulls_a_prediction_back_from_beyond_it() {
     assert_eq!(predicted(0.8, true), (0.8, 1.0));
     assert_eq!(predicted(-0.8, true), (0.0, 0.0));
     assert_eq!(predicted(0.1, true), (0.1, 1.0));
+}
+
+#[test]
+fn a_late_reading_of_before_the_recording_began_tells_nothing() {
+    // All readings are zero; they and the commands begin at zero.
+    const LATE: f64 = 0.0171;
+    let experiment = experiment();
+    let noise = 1e-3;
+    let told = |simulator: EquationsSimulator<'_>, theta: &[f64]| {
+        let simulator = simulator.with_noise(&[noise, noise]);
+        let mut run = simulator.run(theta);
+        let of_angle = |event: &Event| event.reading.is_some_and(|reading| reading.output == 0);
+        let read: Vec<usize> = (0..run.events().len()).filter(|k| of_angle(&run.events()[*k])).collect();
+        let compared = |index: usize| {
+            let mut at: At = [None; LANES];
+            at[0] = Some(index);
+            let mut motion = Motion::new(3, 3, theta.len());
+            motion.x[0] = F64x16::splat(0.8);
+            motion.seed();
+            let mut by = Gradient::default();
+            let value = run.compare_lanes(&at, &motion, &mut by)[0];
+            let stamp = run.events()[index].reading.map_or(f64::NAN, |reading| reading.stamp);
+            (stamp, value, by.by[0][0])
+        };
+        read.into_iter().map(compared).collect::<Vec<_>>()
+    };
+    for kind in [PlaceKind::Output, PlaceKind::Input] {
+        let delay = [(Effect::Delay, kind, 0)];
+        let seen = told(simulator(equations(), &delay, &experiment), &[LATE]);
+        let before = seen.iter().filter(|(stamp, ..)| *stamp < LATE).count();
+        assert!(before >= 2 && before < seen.len() / 2, "{before} of {}", seen.len());
+        for (stamp, value, by_state) in seen {
+            let expected = if stamp < LATE { (-noise, 0.0) } else { (0.8, 1.0) };
+            assert_eq!((value, by_state), expected, "{kind:?} at {stamp}");
+        }
+    }
+    // In time, all tell something.
+    let in_time = told(simulator(equations(), &[], &experiment), &[]);
+    assert!(in_time.iter().all(|(_, value, _)| *value == 0.8));
 }

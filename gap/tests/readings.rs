@@ -4,7 +4,7 @@ mod support;
 
 use parallax_gap::diagnosis::{Options, diagnose_experiment};
 use parallax_gap::experiment::{Experiment, Held, Sample};
-use parallax_gap::readings::{ReadingEffect, Suspicion, cleaned, examine, scatter};
+use parallax_gap::readings::{ReadingEffect, Suspicion, cleaned, examine, is_trace, scatter};
 use parallax_gap::search;
 use parallax_gap::setup::Setup;
 use parallax_model::system::{Equations, System};
@@ -309,7 +309,6 @@ fn late_commands_are_named_and_the_rest_is_explained_by_when_they_acted() {
     let found = diagnose_experiment(equations, experiment, "slide", &Options::default(), &|_, _| {})
         .expect("a diagnosis")
         .report;
-    eprintln!("DBG {:#?}", found.which.iter().map(|w| (w.class.clone(), w.probability)).collect::<Vec<_>>());
     let names: Vec<&str> = found.which[0].effects.iter().map(|e| e.name.as_str()).collect();
     assert_eq!(names, ["jitter"], "{}", found.summary);
     let (spread, truth) = (&found.which[0].effects[0].parameters["spread"], most / 12.0_f64.sqrt());
@@ -340,4 +339,25 @@ fn even_times_do_not_scatter() {
         assert!(!effects.is_empty());
         assert!(significant(&effects).is_empty(), "seed {seed}: {effects:#?}");
     }
+}
+
+#[test]
+fn bad_readings_beside_times_that_scatter_are_their_traces() {
+    let found = |name: &str, place: &str, evidence: f64| ReadingEffect {
+        name: name.into(),
+        place: place.into(),
+        parameters: Default::default(),
+        evidence,
+        significant: true,
+        log_density: Default::default(),
+        share: None,
+    };
+    let jitter = found("jitter", "output:angle", -1000.0);
+    let weak = found("outliers", "output:angle", -60.0);
+    assert!(is_trace(&weak, &[weak.clone(), jitter.clone()]));
+    // Elsewhere, and where they are as plain as the times, they are there.
+    let elsewhere = found("outliers", "output:other", -60.0);
+    assert!(!is_trace(&elsewhere, &[elsewhere.clone(), jitter.clone()]));
+    let strong = found("outliers", "output:angle", -900.0);
+    assert!(!is_trace(&strong, &[strong.clone(), jitter]));
 }

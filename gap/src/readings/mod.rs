@@ -51,7 +51,7 @@ const TRACE_THERE: f64 = 0.3;
 const OF_LATTICE: f64 = 0.02;
 
 /// Whether an effect is what a stronger one leaves behind: bad readings that were not all taken out look like times that
-/// scatter, and a coarse lattice repeats its values and is off by what the reading's rate decides.
+/// scatter, times that scatter widely look like bad readings, and a coarse lattice repeats its values and is off by what the reading's rate decides.
 #[must_use]
 pub fn is_trace(effect: &ReadingEffect, all: &[ReadingEffect]) -> bool {
     let found = |names: &[&str]| {
@@ -70,6 +70,10 @@ pub fn is_trace(effect: &ReadingEffect, all: &[ReadingEffect]) -> bool {
             (effect.place.starts_with("input:") || effect.place == e.place)
                 && effect.evidence > trace * e.evidence
         }),
+        // Times are now and then far off, and where the reading is fast so is what it shows.
+        "outliers" => {
+            found(&["jitter"]).any(|e| e.place == effect.place && effect.evidence > TRACE * e.evidence)
+        }
         "stuck" => found(&["quantization"]).any(|e| e.place == effect.place),
         _ => false,
     }
