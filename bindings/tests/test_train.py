@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import subprocess
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -217,6 +219,19 @@ def test_a_training_goes_on_bit_for_bit(environment, tmp_path):
     (folder / "checkpoint.safetensors").write_bytes(b"nothing")
     with pytest.raises(pt.CheckpointError, match="cannot be read"):
         pt.train(environment, SMALL, seeds=(1, 2), folder=folder, resume=True)
+
+
+def test_layers_of_several_seeds_do_not_wait_for_each_other():
+    """Batches of decompositions wait for XLA's threads on one of them; with few cores a training never began."""
+    program = """
+import jax, parallax
+from parallax.train import network
+draw = jax.jit(jax.vmap(lambda key: network.initial(key, 8, (64, 64), 1, 0.0)))
+keys = jax.random.split(jax.random.key(0), 3)
+for _ in range(1000):
+    jax.block_until_ready(draw(keys))
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=120)
 
 
 def test_seeds_do_not_meet(environment):

@@ -23,6 +23,10 @@ pub struct Minimum {
     flat: Vec<f64>,
 }
 
+/// Temperature of the posterior, of its probabilities and its intervals: readings are less independent than a likelihood
+/// believes, and no model is as exact.
+pub(crate) const TEMPERATURE: f64 = 2.0;
+
 /// A gain in the loss that is not worth another step.
 const PROMISE: f64 = 1e-2;
 

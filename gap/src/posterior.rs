@@ -4,6 +4,7 @@ use nalgebra::DVector;
 use parallax_model::effect::PlaceKind;
 
 use crate::combine;
+use crate::fit::TEMPERATURE;
 use crate::hypothesis::EffectAt;
 use crate::judge::{self, DECISIVE, EVEN, Judge};
 use crate::options::Options;
@@ -13,9 +14,6 @@ use crate::signature::{self, Nuisance, SAME};
 use crate::stop::UNKNOWN;
 use crate::unknown;
 use rayon::prelude::*;
-
-/// Temperature of the log posterior: readings are less independent than the likelihood believes.
-const TEMPERATURE: f64 = 2.0;
 
 /// Prior probability that there is no gap, and that no named effect describes it; effects share the rest equally.
 const PRIOR_NO_GAP: f64 = 0.3;

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::fit::Minimum;
+use crate::fit::{Minimum, TEMPERATURE};
 use crate::hypothesis::{EffectAt, Hypothesis, Slot};
 use crate::innovation::{InnovationFit, fit, walk};
 use crate::library;
@@ -61,7 +61,7 @@ impl Fit {
     /// Whether a parameter of an effect does not differ from its null: it speaks for a form without it.
     #[must_use]
     pub fn has_spare(&self, effect: usize) -> bool {
-        let fitted = self.hypothesis.fitted.iter().zip(self.estimate()).zip(self.std());
+        let fitted = self.hypothesis.fitted.iter().zip(self.estimate()).zip(self.untempered());
         fitted
             .filter(|((f, _), _)| matches!(f.slot, Slot::Effect { effect: of, .. } if of == effect))
             .any(|((f, value), std)| (value - f.null).abs() < SIGNIFICANT * std)
@@ -83,10 +83,15 @@ impl Fit {
         if self.by_windows() { &self.shooting.theta } else { self.theta() }
     }
 
-    /// Standard deviations of [`Fit::estimate`].
+    /// Standard deviations of [`Fit::estimate`], of the posterior at the temperature of the answers' probabilities.
     #[must_use]
     pub fn std(&self) -> Vec<f64> {
-        if self.by_windows() { self.shooting_std.clone() } else { self.innovation_std.clone() }
+        self.untempered().iter().map(|std| TEMPERATURE.sqrt() * std).collect()
+    }
+
+    /// The same as the likelihood has them.
+    fn untempered(&self) -> &[f64] {
+        if self.by_windows() { &self.shooting_std } else { &self.innovation_std }
     }
 
     fn by_windows(&self) -> bool {

@@ -22,6 +22,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::experiment::Held;
+use crate::fit::TEMPERATURE;
 use crate::search::Fit;
 use crate::setup::Setup;
 pub use next::{ProposeError, propose};
@@ -31,9 +32,6 @@ use sensors::Sensor;
 
 /// −2 log evidence from which a pair counts as separated.
 pub const DECISIVE: f64 = 20.0;
-
-/// Temperature of the log posterior: readings are less independent than a likelihood believes.
-const TEMPERATURE: f64 = 2.0;
 
 /// Candidates that are compared, at most: the first of a class.
 const MOST_CANDIDATES: usize = 4;

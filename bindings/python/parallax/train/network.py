@@ -42,9 +42,19 @@ def _layers(key: Array, widths: Sequence[int], last: float) -> list[dict[str, Ar
     layers = []
     for place, (inputs, outputs) in enumerate(pairwise(widths)):
         scale = last if place == len(widths) - 2 else 2.0**0.5
-        weight = jax.nn.initializers.orthogonal(scale)(keys[place], (inputs, outputs), float)
+        weight = _orthogonal(keys[place], scale, inputs, outputs)
         layers.append({"weight": weight, "bias": jnp.zeros(outputs, float)})
     return layers
+
+
+def _orthogonal(key: Array, scale: float, inputs: int, outputs: int) -> Array:
+    def weight(key: Array) -> Array:
+        return jax.nn.initializers.orthogonal(scale)(key, (inputs, outputs), float)
+
+    # One matrix after the other, however many seeds there are. A batch of decompositions asks for XLA's threads and
+    # waits for them while it holds one itself: with as many layers as threads they wait for each other, for ever.
+    drawn: Array = jax.custom_batching.sequential_vmap(weight)(key)  # type: ignore[no-untyped-call]
+    return drawn
 
 
 def evaluate(layers: Sequence[dict[str, Array]], x: Array, activation: str) -> Array:
