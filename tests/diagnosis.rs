@@ -63,7 +63,15 @@ fn diagnosed(data: &Path, system: Option<&Path>, recordings: &[&str], options: &
     let mut arguments = vec!["diagnose", "--system", &system, "--out", "out", "--json"];
     arguments.extend(recordings.iter().map(String::as_str));
     arguments.extend(options);
-    json(folder.path(), &arguments)
+    let report = json(folder.path(), &arguments);
+    let named = report["which"][0]["effects"].as_array().map_or(&[][..], Vec::as_slice);
+    let first = &report["where"][0]["place"];
+    assert!(
+        named.is_empty() || named.iter().any(|effect| effect["place"] == *first),
+        "{}: what is named acts elsewhere than the likeliest place, {first}",
+        report["summary"]
+    );
+    report
 }
 
 /// The effects of the leading answer, as `name@place`.

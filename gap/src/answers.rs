@@ -173,7 +173,16 @@ pub(crate) fn places(posterior: &posterior::Posterior, readings: &[ReadingEffect
         entry.probability = 1.0;
     }
     let mut out: Vec<Where> = by_place.into_values().collect();
-    out.sort_by(|a, b| b.probability.total_cmp(&a.probability).then(b.share.total_cmp(&a.share)));
+    // Of places that are as likely, that of what is named comes first.
+    let leader = posterior.answers.first().and_then(|answer| answer.members.first());
+    let leads = |place: &Where| {
+        leader.is_some_and(|(effects, ..)| effects.iter().any(|at| at.place.to_string() == place.place))
+    };
+    let rounded = |place: &Where| (place.probability * 1e3).round();
+    out.sort_by(|a, b| {
+        let by_probability = rounded(b).total_cmp(&rounded(a)).then(leads(b).cmp(&leads(a)));
+        by_probability.then(b.probability.total_cmp(&a.probability)).then(b.share.total_cmp(&a.share))
+    });
     out
 }
 

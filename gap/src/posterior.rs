@@ -156,8 +156,14 @@ impl Posterior {
         (self.no_gap, self.unexplained) = (probability(self.log_no_gap), probability(log_unknown));
         for answer in &mut self.answers {
             answer.probability = answer.logs.iter().map(|log| probability(*log)).sum();
-            for ((_, of_member, _), log) in answer.members.iter_mut().zip(&answer.logs) {
-                *of_member = probability(*log);
+            // The leader was chosen among those that are as good as the best, so that it is as likely.
+            let best = answer.logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+            let weight =
+                |(k, log): (usize, &f64)| if k == 0 || *log >= best { 1.0 } else { (log - best).exp() };
+            let weights: Vec<f64> = answer.logs.iter().enumerate().map(weight).collect();
+            let all: f64 = weights.iter().sum();
+            for ((_, of_member, _), weight) in answer.members.iter_mut().zip(weights) {
+                *of_member = answer.probability * weight / all;
             }
         }
         self.answers.sort_by(|a, b| b.probability.total_cmp(&a.probability));
