@@ -12,11 +12,13 @@ use crate::search::Fit;
 use crate::setup::Setup;
 use crate::statistics::{median, root_mean_square};
 
-/// Share of the alleged variance below which the innovations' variance contradicts it.
+/// Share of the alleged variance below which the innovations' variance contradicts it, where little is declared.
 const LESS: f64 = 0.6;
 
-/// Share of the innovations, the largest, that are not looked at: they hold 14 % of a normal distribution's variance.
+/// Share of the innovations, the largest, that are not looked at, and the share of a normal distribution's variance that is
+/// left without them.
 const EVENTS: f64 = 0.02;
+const WITHOUT_EVENTS: f64 = 0.86;
 
 /// Size, in the sensor's noise, below which the median innovation at alleged outliers says that they are none.
 const NEAR: f64 = 3.0;
@@ -54,8 +56,9 @@ pub(crate) fn contradicted(setup: &Setup, raw: &Raw, recorded: &Experiment, fits
             let mut sizes: Vec<f64> = others.iter().map(size).collect();
             sizes.sort_by(f64::total_cmp);
             sizes.truncate(((1.0 - EVENTS) * sizes.len() as f64) as usize);
-            let no_noise = alleged(output, "noise")
-                && root_mean_square(&sizes).powi(2) < LESS * believed[output].powi(2);
+            let declared = system.outputs[output].noise.unwrap_or(0.0);
+            let most = less_than(declared * declared, believed[output].powi(2));
+            let no_noise = alleged(output, "noise") && root_mean_square(&sizes).powi(2) < most;
             let typical = median(&mut at.iter().map(size).collect::<Vec<_>>());
             let no_outliers =
                 alleged(output, "outliers") && !at.is_empty() && typical < NEAR * plain.output_noise[output];
@@ -65,4 +68,24 @@ pub(crate) fn contradicted(setup: &Setup, raw: &Raw, recorded: &Experiment, fits
         })
     };
     outputs.into_iter().filter(|output| is_contradicted(*output)).collect()
+}
+
+/// The innovations' variance below which they are nearer to the declared variance than to the alleged one, which they would
+/// contain.
+fn less_than(declared: f64, alleged: f64) -> f64 {
+    (LESS * alleged).max(0.5 * WITHOUT_EVENTS * (declared + alleged))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::less_than;
+
+    #[test]
+    fn the_nearer_of_two_variances_decides() {
+        let trimmed = |variance: f64| 0.86 * variance;
+        // A fifth more noise than declared: innovations of the declared size deny it, those of the alleged one do not.
+        assert!(trimmed(1.0) < less_than(1.0, 1.44) && trimmed(1.44) > less_than(1.0, 1.44));
+        // Where nothing is declared, or much less, innovations contain what the model lacks as well.
+        assert!((less_than(0.0, 1.0) - 0.6).abs() < 1e-12);
+    }
 }
