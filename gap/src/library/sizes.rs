@@ -137,12 +137,15 @@ fn level(setup: &Setup, at: &EffectAt, index: usize, spec: &EffectParameter, fit
             sized(fitted, 0.15 * range.width().max(1e-12), &[0.3]);
         }
         Quantity::LevelRate => {
-            let top = fastest(setup, index);
+            let (top, largest) = fastest(setup, index);
             // A command in steps is faster than any machine: one that takes seconds for its whole range is limited too.
             let slow = range.width() / SLOW;
             let starts = [0.5 * top, 0.2 * top, 0.06 * top, 10.0 * slow, slow];
+            let starts = starts.into_iter().filter(|rate| *rate < top);
             let low = (0.005 * top).min(0.1 * slow);
-            flat(fitted, low, 2.0 * top, starts.into_iter().filter(|rate| *rate < top).collect());
+            // One that is faster than every change still takes a part of the period for a step.
+            flat(fitted, low, 4.0 * largest, starts.chain([0.5 * largest, 2.0 * largest]).collect());
+            fitted.scale = 0.1 * (2.0 * top - low);
             // Beyond any change in the log; an infinity has no place in a list of numbers.
             fitted.null = 1e6 * top;
         }
@@ -161,15 +164,19 @@ fn level(setup: &Setup, at: &EffectAt, index: usize, spec: &EffectParameter, fit
     }
 }
 
-/// The fastest change of a command that is not rare: the 98th percentile of those that change at all.
-fn fastest(setup: &Setup, input: usize) -> f64 {
+/// The fastest change of a command that is not rare, the 98th percentile of those that change at all, and the fastest of all.
+fn fastest(setup: &Setup, input: usize) -> (f64, f64) {
     let held = &setup.experiment.inputs[input];
     let steps = held.times.windows(2).zip(held.values.windows(2));
     let mut rates: Vec<f64> = steps
         .map(|(t, v)| ((v[1] - v[0]) / (t[1] - t[0]).max(1e-9)).abs())
         .filter(|rate| *rate > 0.0)
         .collect();
-    if rates.is_empty() { 1.0 } else { crate::statistics::quantile(&mut rates, 0.98).max(1e-12) }
+    if rates.is_empty() {
+        return (1.0, 1.0);
+    }
+    let top = crate::statistics::quantile(&mut rates, 0.98).max(1e-12);
+    (top, rates.iter().copied().fold(top, f64::max))
 }
 
 /// How long a slow machine takes for the whole range of a command (s).

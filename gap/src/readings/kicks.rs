@@ -47,13 +47,16 @@ const FIRST_RATE: f64 = 0.05;
 struct Kick {
     /// Its index among the commands.
     command: usize,
+    /// Whether it is believed lost already: its kick is what its arrival would change.
+    held: bool,
     /// By how much the value differs.
     change: f64,
     /// By how much it was late (s).
     late: f64,
     /// Index of the first reading after it, in the order of their stamps.
     first: usize,
-    /// What holding the command before it adds to each whitened innovation from there on, with the sign reversed.
+    /// What holding the command before it, or not holding it any more, adds to each whitened innovation from there on, with
+    /// the sign reversed.
     response: Vec<f64>,
 }
 
@@ -82,9 +85,9 @@ pub(super) struct Kicks {
 pub(super) struct Lost {
     /// Share of commands that is lost.
     pub(super) rate: f64,
-    /// Commands that are likelier lost than not, by their index.
-    pub(super) commands: Vec<usize>,
-    /// A lower bound of the log likelihood against commands that all arrive.
+    /// Commands of which the opposite of what is believed is likelier, by their index: that they are lost, or arrived.
+    pub(super) otherwise: Vec<usize>,
+    /// A lower bound of the log likelihood, less what stating the losses costs, against what is believed.
     pub(super) gain: f64,
     /// Commands whose loss would show.
     pub(super) of: usize,
@@ -96,6 +99,18 @@ impl Kicks {
     ///
     /// Nothing where the commands hardly change.
     pub(super) fn new(setup: &Setup, fit: &Fit, noise: &Noise, input: usize, late: f64) -> Option<Self> {
+        Self::beside(setup, fit, noise, (input, &setup.experiment.inputs[input]), late)
+    }
+
+    /// The same where the setup holds what is believed to have acted, and other commands were `sent`: one that is believed lost
+    /// may have arrived.
+    pub(super) fn beside(
+        setup: &Setup,
+        fit: &Fit,
+        noise: &Noise,
+        (input, sent): (usize, &Held),
+        late: f64,
+    ) -> Option<Self> {
         let all: Vec<Segment> = setup.train.iter().chain(&setup.test).cloned().collect();
         let walked = |setup: &Setup| {
             let simulator = library::simulator(setup, &fit.hypothesis, fit.residuals.clone());
@@ -103,8 +118,10 @@ impl Kicks {
         };
         let plain = walked(setup);
         let held = &setup.experiment.inputs[input];
-        let changes: Vec<usize> =
-            (1..held.values.len()).filter(|k| held.values[*k] != held.values[*k - 1]).collect();
+        let is_held = |k: usize| held.values[k] != sent.values[k];
+        // The value in force if the opposite of what is believed is true.
+        let opposite = |k: usize| if is_held(k) { sent.values[k] } else { held.values[k - 1] };
+        let changes: Vec<usize> = (1..held.values.len()).filter(|&k| held.values[k] != opposite(k)).collect();
         let mut between: Vec<f64> = changes.windows(2).map(|c| held.times[c[1]] - held.times[c[0]]).collect();
         if between.len() < 10 {
             return None;
@@ -125,7 +142,10 @@ impl Kicks {
                     if lateness(k) < until_next(k) {
                         other.times[k] += lateness(k);
                     } else {
-                        other.values[k] = held.values[k - 1];
+                        // It stays in force over those that are believed lost after it.
+                        let end =
+                            (k + 1..held.values.len()).find(|j| !is_held(*j)).unwrap_or(held.values.len());
+                        other.values[k..end].fill(opposite(k));
                     }
                 }
                 let other = walked(&disturbed);
@@ -140,7 +160,8 @@ impl Kicks {
                         let response = order[first..end].iter().map(change).collect();
                         Kick {
                             command: k,
-                            change: held.values[k] - held.values[k - 1],
+                            held: is_held(k),
+                            change: held.values[k] - opposite(k),
                             late: lateness(k),
                             first,
                             response,
@@ -287,12 +308,17 @@ impl Kicks {
         n * (self.energy / n).ln()
     }
 
-    /// Commands of which some are lost: one p for each, in a factorised posterior.
+    /// Commands of which some are lost: one p for each, that the opposite of what is believed is true, in a factorised
+    /// posterior.
     pub(super) fn lost(&self) -> Lost {
         let n = self.readings as f64;
         let count = self.kicks.len() as f64;
+        let is_lost = |(kick, p): (&Kick, &f64)| if kick.held { 1.0 - p } else { *p };
+        let rate_of =
+            |p: &[f64]| (self.kicks.iter().zip(p).map(is_lost).sum::<f64>() / count).clamp(0.5 / count, 0.9);
         let mut variance = self.energy / n;
-        let (mut rate, mut p) = (FIRST_RATE, vec![FIRST_RATE; self.kicks.len()]);
+        let mut p = vec![FIRST_RATE; self.kicks.len()];
+        let mut rate = rate_of(&p);
         // What the probabilities of the others leave along each response.
         let mut along = self.by_gram(&p);
         for _ in 0..SWEEPS {
@@ -301,6 +327,7 @@ impl Kicks {
             for k in 0..p.len() {
                 let own = self.gram[k][0];
                 let left = self.along[k] - along[k] + own * p[k];
+                let odds = if self.kicks[k].held { -odds } else { odds };
                 let fresh = 1.0 / (1.0 + (-(odds + (left - 0.5 * own) / variance)).exp());
                 let change = fresh - p[k];
                 if change != 0.0 {
@@ -309,7 +336,7 @@ impl Kicks {
                     moved = moved.max(change.abs());
                 }
             }
-            rate = (p.iter().sum::<f64>() / count).clamp(0.5 / count, 0.9);
+            rate = rate_of(&p);
             variance = self.left(&p, &along) / n;
             if moved < SETTLED {
                 break;
@@ -317,11 +344,12 @@ impl Kicks {
         }
         let entropy = |p: f64| if p > 0.0 { -p * p.ln() } else { 0.0 };
         let given = |p: f64| p * rate.ln() + (1.0 - p) * (1.0 - rate).ln() + entropy(p) + entropy(1.0 - p);
-        let gain = -0.5 * n * variance.ln() + p.iter().map(|p| given(*p)).sum::<f64>() + 0.5 * self.in_time()
+        let stated: f64 = self.kicks.iter().zip(&p).map(is_lost).map(given).sum();
+        let gain = -0.5 * n * variance.ln() + stated + 0.5 * self.in_time()
             // What is paid for the rate.
             - 0.5 * count.ln();
         let likelier = self.kicks.iter().zip(&p).filter(|(_, p)| **p > 0.5);
-        Lost { rate, commands: likelier.map(|(kick, _)| kick.command).collect(), gain, of: p.len() }
+        Lost { rate, otherwise: likelier.map(|(kick, _)| kick.command).collect(), gain, of: p.len() }
     }
 
     /// Adds `change` times the k-th column of G.
@@ -384,7 +412,7 @@ mod tests {
             for (e, r) in innovations[k..].iter_mut().zip(&response) {
                 *e += share * r;
             }
-            kicks.push(Kick { command: k + 1, change: 1.0, late: 0.01, first: k, response });
+            kicks.push(Kick { command: k + 1, held: false, change: 1.0, late: 0.01, first: k, response });
         }
         let along = kicks.iter().map(|k| dot(&k.response, &innovations[k.first..])).collect();
         let gram = (0..count)
@@ -446,6 +474,22 @@ mod tests {
         let half = tardy.part(|stamp| stamp < 2.0);
         assert!((half.late(0.05).spread / again.spread - 1.0).abs() < 0.2);
         assert!(punctual.lost().gain < 3.0 && punctual.late(0.05).log_evidence < 1.0);
+    }
+
+    #[test]
+    fn a_command_that_was_believed_lost_and_arrived_is_taken_back() {
+        let believed = |arrived: &[usize]| {
+            let mut at = 0..400;
+            let of = |k: usize| f64::from(u8::from(arrived.contains(&k)));
+            let mut kicks = kicks(|_| of(at.next().expect("one for each")), 100.0);
+            kicks.kicks.iter_mut().step_by(20).for_each(|kick| kick.held = true);
+            kicks.lost()
+        };
+        let right = believed(&[]);
+        assert!(right.otherwise.is_empty() && right.gain <= 0.0, "{right:?}");
+        assert!((right.rate - 0.05).abs() < 0.01, "{right:?}");
+        let wrong = believed(&[100, 240]);
+        assert!(wrong.otherwise == [101, 241] && wrong.gain > 10.0, "{wrong:?}");
     }
 
     #[test]

@@ -19,7 +19,11 @@ use crate::setup::Setup;
 use crate::statistics::median;
 
 /// Rounds in which times are moved, at most.
-const ROUNDS: usize = 3;
+const ROUNDS: usize = 5;
+
+/// Share of the mean squared error of short windows without them down to which times that were moved must bring it where
+/// it stays above that of an exact model: commands that are late by several periods are found a few at a time.
+const LEFT: f64 = 0.05;
 
 /// Log evidence from which times are moved at all: what scatters much hides in the noise that it is taken for, until the
 /// first of it is known.
@@ -80,7 +84,7 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
             break;
         }
         // What wants to be larger than it can be is something else.
-        if fit.shooting_error <= INEXACT && last.late.spread < 0.95 * most {
+        if fit.shooting_error <= INEXACT.max(LEFT * base.shooting_error) && last.late.spread < 0.95 * most {
             best = Some((cost, fit.shooting_error, clean.clone(), last.clone()));
         }
     }

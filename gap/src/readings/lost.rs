@@ -1,4 +1,9 @@
 //! Commands that never arrived, one by one: the machine went on with the one before.
+//!
+//! A model that believes the recorded commands takes what many losses leave for process noise, so much of it that it learns
+//! from every reading, and no single loss shows for longer than one. So the process noise is lowered step by step, as the
+//! temperature is in deterministic annealing (Rose 1998): the losses that show best are believed first, and with less noise
+//! the others show for longer. What was believed too soon is taken back once it no longer explains anything.
 
 use parallax_model::effect::Place;
 
@@ -6,11 +11,18 @@ use super::acted::{Acted, TOLD, refitted};
 use super::found;
 use super::kicks::{Kicks, Lost};
 use super::scatter;
+use crate::experiment::Held;
+use crate::filter::Noise;
 use crate::report::Value;
 use crate::search::Fit;
 use crate::setup::Setup;
 
-/// Rounds in which further losses are looked for, at most.
+/// Steps by which the process noise is lowered, the size of one in the logarithm of its variance, and looks at each.
+const STEPS: usize = 7;
+const STEP: f64 = 1.15;
+const LOOKS: usize = 3;
+
+/// Rounds under a fit to what is believed, at most.
 const ROUNDS: usize = 8;
 
 /// Share of the commands beyond which it is no loss but another effect.
@@ -21,56 +33,113 @@ const MOST: f64 = 0.4;
 pub(super) const FEWEST: usize = 3;
 pub(super) const RAREST: f64 = 0.01;
 
-/// The losses at one input under a hypothesis, and −2 log evidence with them.
-pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> Option<Acted> {
-    let recorded = &setup.experiment.inputs[input];
-    let (mut clean, mut fit) = (setup.clone(), base.clone());
-    let mut first: Option<Lost> = None;
-    for _ in 0..ROUNDS {
-        let Some(lost) = round(&clean, &fit, input) else { break };
-        let held = &mut clean.experiment.inputs[input];
-        for &k in &lost.commands {
-            held.values[k] = held.values[k - 1];
-        }
-        fit = refitted(&clean, base);
-        first.get_or_insert(lost);
-    }
-    let first = first?;
-    let acted = clean.experiment.inputs[input].clone();
-    let differ = |k: &usize| acted.values[*k] != recorded.values[*k];
-    let changes = |k: &usize| recorded.values[*k] != recorded.values[*k - 1];
-    let trained = |k: &usize| setup.train.iter().any(|s| (s.from..s.to).contains(&recorded.times[*k]));
-    let all: Vec<usize> = (1..recorded.values.len()).filter(changes).collect();
-    let code = |of: usize, lost: usize| {
-        let (of, lost) = (of as f64, lost as f64);
-        let rate = (lost / of.max(1.0)).clamp(1e-6, 1.0 - 1e-6);
-        -2.0 * (lost * rate.ln() + (of - lost) * (1.0 - rate).ln()) + of.max(1.0).ln()
-    };
-    let count = |which: &dyn Fn(&usize) -> bool| all.iter().filter(|k| which(k)).count();
-    let cost = fit.innovation.evidence_cost + code(count(&trained), count(&|k| trained(k) && differ(k)));
-    let losses = count(&differ);
-    let rate = losses as f64 / all.len().max(1) as f64;
-    let accident = losses < FEWEST && rate < RAREST;
-    if rate > MOST || losses == 0 || accident {
-        return None;
-    }
-    let std = (rate * (1.0 - rate) / all.len() as f64).sqrt();
-    let value = Value { value: rate, std, unit: String::new() };
-    let density = scatter::density_at_input(setup, base, input, (f64::INFINITY, rate.sqrt()));
-    let effect = found(
-        "drops",
-        place.to_string(),
-        ("rate", value),
-        -2.0 * first.gain,
-        true,
-        density.unwrap_or_default(),
-    );
-    let error = fit.shooting_error;
-    Some(Acted { input, recorded: recorded.clone(), acted, effect, cost, error })
+/// Commands of one input, as they were sent and as they are believed to have acted.
+struct Believed<'a> {
+    clean: Setup,
+    input: usize,
+    sent: &'a Held,
 }
 
-/// Losses that one look at the innovations shows.
-fn round(setup: &Setup, fit: &Fit, input: usize) -> Option<Lost> {
-    let lost = Kicks::new(setup, fit, &fit.innovation.noise, input, f64::INFINITY)?.lost();
-    (lost.gain > TOLD && lost.rate < MOST && !lost.commands.is_empty()).then_some(lost)
+/// The losses at one input under a hypothesis, and −2 log evidence with them.
+pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> Option<Acted> {
+    let mut believed = Believed { clean: setup.clone(), input, sent: &setup.experiment.inputs[input] };
+    let mut noise = base.innovation.noise.clone();
+    if believed.look(base, &noise)?.1.gain < TOLD {
+        return None;
+    }
+    for _ in 0..STEPS {
+        for _ in 0..LOOKS {
+            let Some((_, lost)) = believed.look(base, &noise).filter(|_| !setup.stop.asked()) else { break };
+            if !believed.revise(&lost.otherwise) {
+                break;
+            }
+        }
+        noise.log_process = (noise.log_process - STEP).max(setup.noise.process_floor);
+    }
+    let mut best: Option<(f64, f64, f64, Held)> = None;
+    for _ in 0..ROUNDS {
+        if believed.losses(|_| true) == 0 || setup.stop.asked() {
+            break;
+        }
+        let fit = refitted(&believed.clean, base);
+        let Some((kicks, lost)) = believed.look(&fit, &fit.innovation.noise) else { break };
+        let cost = fit.innovation.evidence_cost + believed.price(&kicks);
+        // What leaves predictions worse than no loss at all is no loss.
+        let nearer = fit.shooting_error <= base.shooting_error;
+        if nearer && best.as_ref().is_none_or(|(least, ..)| cost < *least) {
+            best = Some((cost, fit.shooting_error, lost.rate, believed.acted().clone()));
+        }
+        if !believed.revise(&lost.otherwise) {
+            break;
+        }
+    }
+    let (cost, error, rate, acted) = best?;
+    believed.clean.experiment.inputs[input] = acted.clone();
+    let (of, losses) = (believed.changes(|_| true), believed.losses(|_| true));
+    let accident = losses < FEWEST && (losses as f64) < RAREST * of as f64;
+    let told = -0.5 * (cost - base.innovation.evidence_cost);
+    if accident || told < TOLD {
+        return None;
+    }
+    // Of those that hardly change anything nobody knows: they are lost as often as the others.
+    let std = (rate * (1.0 - rate) / of as f64).sqrt();
+    let value = Value { value: rate, std, unit: String::new() };
+    let density = scatter::density_at_input(setup, base, input, (f64::INFINITY, rate.sqrt()));
+    let effect =
+        found("drops", place.to_string(), ("rate", value), -2.0 * told, true, density.unwrap_or_default());
+    let recorded = believed.sent.clone();
+    Some(Acted { input, recorded, acted, effect, cost, error })
+}
+
+impl Believed<'_> {
+    fn acted(&self) -> &Held {
+        &self.clean.experiment.inputs[self.input]
+    }
+
+    /// Commands that are believed lost, of those sent at times for which `within` holds.
+    fn losses(&self, within: impl Fn(f64) -> bool) -> usize {
+        let (sent, acted) = (self.sent, self.acted());
+        (1..sent.values.len()).filter(|&k| within(sent.times[k]) && acted.values[k] != sent.values[k]).count()
+    }
+
+    /// Commands that change anything, of those sent at such times.
+    fn changes(&self, within: impl Fn(f64) -> bool) -> usize {
+        let sent = self.sent;
+        (1..sent.values.len())
+            .filter(|&k| within(sent.times[k]) && sent.values[k] != sent.values[k - 1])
+            .count()
+    }
+
+    /// What the innovations say of each command, and of all together where it can be losses of few.
+    fn look(&self, fit: &Fit, noise: &Noise) -> Option<(Kicks, Lost)> {
+        let kicks = Kicks::beside(&self.clean, fit, noise, (self.input, self.sent), f64::INFINITY)?;
+        let lost = kicks.lost();
+        (lost.rate < MOST).then_some((kicks, lost))
+    }
+
+    /// Believes the opposite of these commands. Gives whether there are any.
+    fn revise(&mut self, otherwise: &[usize]) -> bool {
+        let held = &mut self.clean.experiment.inputs[self.input];
+        let mut lost: Vec<bool> = held.values.iter().zip(&self.sent.values).map(|(a, b)| a != b).collect();
+        for &k in otherwise {
+            lost[k] = !lost[k];
+        }
+        for k in 1..lost.len() {
+            held.values[k] = if lost[k] { held.values[k - 1] } else { self.sent.values[k] };
+        }
+        !otherwise.is_empty()
+    }
+
+    /// What stating the losses costs on the time that is fitted: as little as the doubt about each of them allows, or all of
+    /// it where the look would rather have others.
+    fn price(&self, kicks: &Kicks) -> f64 {
+        let trained = |time: f64| self.clean.train.iter().any(|s| (s.from..s.to).contains(&time));
+        let gain = kicks.part(trained).lost().gain;
+        if gain <= 0.0 {
+            return -2.0 * gain;
+        }
+        let (of, lost) = (self.changes(trained) as f64, self.losses(trained) as f64);
+        let rate = (lost / of.max(1.0)).clamp(1e-6, 1.0 - 1e-6);
+        -2.0 * (lost * rate.ln() + (of - lost) * (1.0 - rate).ln()) + of.max(1.0).ln()
+    }
 }

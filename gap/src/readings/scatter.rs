@@ -112,7 +112,7 @@ pub fn scatter(setup: &Setup, fit: &Fit) -> Vec<ReadingEffect> {
             // The variance grows with the rate.
             scale: lost.rate.sqrt(),
             evidence: -2.0 * (lost.gain - of_mean),
-            likelier: !times && (lost.commands.len() >= FEWEST || lost.rate >= RAREST),
+            likelier: !times && (lost.otherwise.len() >= FEWEST || lost.rate >= RAREST),
             certain: false,
         };
         // What wants to be larger than it can be is something else.
