@@ -124,8 +124,8 @@ impl Believed<'_> {
         for &k in otherwise {
             lost[k] = !lost[k];
         }
-        for k in 1..lost.len() {
-            held.values[k] = if lost[k] { held.values[k - 1] } else { self.sent.values[k] };
+        for (k, lost) in lost.into_iter().enumerate().skip(1) {
+            held.values[k] = if lost { held.values[k - 1] } else { self.sent.values[k] };
         }
         !otherwise.is_empty()
     }
