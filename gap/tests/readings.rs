@@ -5,6 +5,7 @@ mod support;
 use parallax_gap::diagnosis::{Options, diagnose_experiment};
 use parallax_gap::experiment::{Experiment, Held, Sample};
 use parallax_gap::readings::{ReadingEffect, Suspicion, cleaned, examine, is_trace, scatter};
+use parallax_gap::report::Report;
 use parallax_gap::search;
 use parallax_gap::setup::Setup;
 use parallax_model::system::{Equations, System};
@@ -247,14 +248,20 @@ fn corners_of_the_motion_are_neither_noise_nor_outliers() {
     assert!(!found.gap.detected, "{}", found.summary);
 }
 
-#[test]
-fn lost_commands_are_named_and_the_rest_is_explained_by_what_arrived() {
-    let (equations, experiment) = follow(6, 0.0, 0.08);
-    let found = diagnose_experiment(equations, experiment, "follower", &Options::default(), &|_, _| {})
+/// The report of a diagnosis that names this effect and no other.
+fn named(equations: Equations, experiment: Experiment, effect: &str) -> Report {
+    let found = diagnose_experiment(equations, experiment, "log", &Options::default(), &|_, _| {})
         .expect("a diagnosis")
         .report;
     let names: Vec<&str> = found.which[0].effects.iter().map(|e| e.name.as_str()).collect();
-    assert_eq!(names, ["drops"], "{}", found.summary);
+    assert_eq!(names, [effect], "{}", found.summary);
+    found
+}
+
+#[test]
+fn lost_commands_are_named_and_the_rest_is_explained_by_what_arrived() {
+    let (equations, experiment) = follow(6, 0.0, 0.08);
+    let found = named(equations, experiment, "drops");
     let rate = &found.which[0].effects[0].parameters["rate"];
     assert!((rate.value - 0.08).abs() < 2.0 * rate.std, "{rate:?}");
     assert!(found.how_far.closed_by_effect.value > 0.95, "{:?}", found.how_far);
@@ -314,11 +321,7 @@ fn late_commands_are_named_and_the_rest_is_explained_by_when_they_acted() {
     }
     acted.values.clone_from(&push.values);
     let (equations, experiment) = slid(push, &acted, random);
-    let found = diagnose_experiment(equations, experiment, "slide", &Options::default(), &|_, _| {})
-        .expect("a diagnosis")
-        .report;
-    let names: Vec<&str> = found.which[0].effects.iter().map(|e| e.name.as_str()).collect();
-    assert_eq!(names, ["jitter"], "{}", found.summary);
+    let found = named(equations, experiment, "jitter");
     let (spread, truth) = (&found.which[0].effects[0].parameters["spread"], most / 12.0_f64.sqrt());
     assert!((spread.value / truth - 1.0).abs() < 0.15, "{spread:?}, not {truth}");
     assert!(found.how_far.closed_by_effect.value > 0.9, "{:?}", found.how_far);
@@ -343,11 +346,7 @@ fn lost_commands_are_named_that_hide_in_what_all_of_them_leave() {
         }
     }
     let (equations, experiment) = slid(push, &acted, random);
-    let found = diagnose_experiment(equations, experiment, "slide", &Options::default(), &|_, _| {})
-        .expect("a diagnosis")
-        .report;
-    let names: Vec<&str> = found.which[0].effects.iter().map(|e| e.name.as_str()).collect();
-    assert_eq!(names, ["drops"], "{}", found.summary);
+    let found = named(equations, experiment, "drops");
     let (rate, truth) = (&found.which[0].effects[0].parameters["rate"], f64::from(lost) / 1500.0);
     // Commands that change little leave it open whether they are lost.
     assert!((0.7 * truth..truth + 2.0 * rate.std).contains(&rate.value), "{rate:?}, not {truth}");

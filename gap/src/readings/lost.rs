@@ -44,9 +44,11 @@ struct Believed<'a> {
 pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> Option<Acted> {
     let mut believed = Believed { clean: setup.clone(), input, sent: &setup.experiment.inputs[input] };
     let mut noise = base.innovation.noise.clone();
-    if believed.look(base, &noise)?.1.gain < TOLD {
+    let first = believed.look(base, &noise)?.1;
+    if first.gain < TOLD {
         return None;
     }
+    believed.revise(&first.otherwise);
     for _ in 0..STEPS {
         for _ in 0..LOOKS {
             let Some((_, lost)) = believed.look(base, &noise).filter(|_| !setup.stop.asked()) else { break };
