@@ -239,7 +239,7 @@ fn what_cannot_be_read_says_where_and_what_to_do() {
     says(found("t,x\n0,1\n1,2,3\n2,3\n"), &["log.csv:3: the row has 3 cells, the header 2"]);
     says(found(""), &["log.csv is empty"]);
     says(found("hello\nworld\n"), &["no line of it looks like a row of numbers"]);
-    says(found("t,mode\n0,a\n1,b\n"), &["no series of numbers", "`mode` holds text"]);
+    says(found("t,mode\n0,a\n1,b\n"), &["no series of numbers", "`mode` holds text, such as `a` in line 2"]);
     says(found(b"\x1f\x8b\x08\x00"), &["compressed by gzip", "gunzip"]);
     says(found(b"SQLite format 3\x00"), &["ROS 2 bag in SQLite", "whole"]);
     says(found(b"\x89HDF\r\n\x1a\n"), &["HDF5", "CSV or Parquet"]);

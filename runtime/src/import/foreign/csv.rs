@@ -230,7 +230,7 @@ impl<'a> Table<'a> {
                         let column = header.clone();
                         return Err(ForeignError::NotANumber { path: path.into(), line, column, text });
                     }
-                    notes.push(format!("column `{header}` holds text, such as `{text}`"));
+                    notes.push(format!("column `{header}` holds text, such as `{text}` in line {line}"));
                     continue;
                 }
                 Cells::Numbers(column.numbers)
