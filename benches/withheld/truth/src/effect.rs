@@ -44,15 +44,16 @@ pub(crate) struct Cause {
     pub(crate) p: [f64; 4],
 }
 
-/// Share by which each draw brings a limit closer than the one before.
+/// Share by which each draw brings a limit closer, or makes a supply stiffer, than the one before.
 const CLOSER: f64 = 0.1;
 
 impl Cause {
-    /// The same, a limit so many times closer to the middle: a motion may be smaller than the machine's range.
+    /// The same, a limit so many times closer to the middle, or a supply so many times stiffer: a motion may be smaller than the
+    /// machine's range, and a command larger than the typical one.
     pub(crate) fn closer(mut self, times: u64) -> Self {
         use Kind::*;
         let limits = match self.kind {
-            EndStop | EndStopLow | QuadraticStop => 1,
+            EndStop | EndStopLow | QuadraticStop | SupplySag => 1,
             SensorSaturation => 2,
             _ => 0,
         };

@@ -6,7 +6,7 @@
 //!
 //! A cause that never acts in its recording, such as a stop that is not reached or a limit beyond the commands, is no
 //! cause: its magnitude is drawn again, a limit a little closer each time and each of a pair's on its own, until it
-//! leaves a trace.
+//! leaves a trace. So is a supply whose sag takes more than half of some command: none gives less to who asks for more.
 
 // Equations of motion are read by index, as they are written.
 #![allow(clippy::needless_range_loop)]
@@ -223,10 +223,22 @@ fn case(plan: &Plan, seed: u64) -> Result<Case, TruthError> {
     Ok(alone(causes))
 }
 
-/// Whether a case's cause leaves a trace in its recording. A machine that ran away is judged by the caller.
+/// Whether a case's cause leaves a trace in its recording, and may be one. A machine that ran away is judged by the caller.
 fn acts(case: &Case) -> bool {
     let run = case.run();
-    !sound(case, &run) || signature::detectability(case, &run) >= ACTS
+    is_supply(case, &run) && (!sound(case, &run) || signature::detectability(case, &run) >= ACTS)
+}
+
+/// Most of a command that the inner resistance of a supply may take: beyond one half whoever asks for more gets less (maximum
+/// power transfer), and beyond all of it the supply would push back.
+const SAGS: f64 = 0.5;
+
+/// Whether a supply that sags under its load is one that exists, for the commands of the run.
+fn is_supply(case: &Case, run: &Run) -> bool {
+    case.causes.iter().all(|cause| match (cause.kind, cause.place) {
+        (Kind::SupplySag, Place::Input(i)) => run.commands.iter().all(|u| cause.p[0] * u[i].abs() <= SAGS),
+        _ => true,
+    })
 }
 
 fn sound(case: &Case, run: &Run) -> bool {

@@ -269,6 +269,20 @@ fn a_cause_that_never_acts_is_drawn_again() {
 }
 
 #[test]
+fn no_supply_gives_less_to_who_asks_for_more() {
+    let (system, sag) = (ALL.iter().position(|system| system.name == "linear-axis").unwrap(), Kind::SupplySag);
+    let index = table(ALL[system]).iter().position(|(kind, _)| *kind == sag).unwrap();
+    let plan = Plan { set: Set::Single, system, effect: index };
+    for seed in 0..4 {
+        let case = crate::case(&plan, seed).unwrap();
+        let largest = case.run().commands.iter().fold(0.0_f64, |most, u| most.max(u[0].abs()));
+        assert!(case.causes[0].p[0] * largest <= 0.5, "seed {seed}: {} of {largest}", case.causes[0].p[0]);
+    }
+    let (drawn, run) = of_draw(system, sag, Place::Input(0), 0);
+    assert!(!crate::is_supply(&drawn, &run), "the first draw of this seed takes more: {:?}", drawn.causes);
+}
+
+#[test]
 fn an_experiment_is_played_on_the_same_machine() {
     let plan = Plan { set: Set::Single, system: 0, effect: 3 };
     let folder = tempfile::tempdir().unwrap();
