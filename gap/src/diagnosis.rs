@@ -282,13 +282,23 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     let recorded = acted.as_ref().map(|acted| acted.as_recorded(setup));
     let scored = recorded.as_ref().unwrap_or(setup);
     let system = setup.equations.system();
-    let detected = p_value < 0.01 && answers.no_gap < 0.5;
+    let stated = |r: &ReadingEffect| system.effects.iter().any(|e| e.name == r.name && e.place == r.place);
+    let allowed = |r: &ReadingEffect| {
+        let (effect, place) = (Effect::from_name(&r.name), r.place.parse());
+        effect.zip(place.ok()).is_some_and(|(effect, place)| options.allows(&EffectAt { effect, place }))
+    };
+    readings.retain(|r| allowed(r) && !stated(r));
     let predicted = |setup: &Setup, fit: &Fit| {
         let simulator = library::simulator(setup, &fit.hypothesis, fit.residuals.clone());
         quantify::predict(setup, &simulator, fit.estimate(), &fit.innovation.noise)
     };
     let row = |fit: &Fit| predicted(setup, fit);
     let refitted = predicted(scored, &null);
+    let gain = answers.cost(&null) - answers.cost(answers.leader(&null));
+    if acted.is_none() && causes::are_all(&readings, &refitted, gain) {
+        answers.name_none(&null);
+    }
+    let detected = p_value < 0.01 && answers.no_gap < 0.5;
     let worse = |with: &Row| quantify::closed(&refitted, with, options.seed).high < 0.0;
     let mut with_best = None;
     while detected && answers.names() {
@@ -304,11 +314,6 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     let named = answers.names();
     let best = &answers.leader(&null).clone();
     readings.extend(readings::scatter(setup, if detected && named { best } else { &null }));
-    let stated = |r: &ReadingEffect| system.effects.iter().any(|e| e.name == r.name && e.place == r.place);
-    let allowed = |r: &ReadingEffect| {
-        let (effect, place) = (Effect::from_name(&r.name), r.place.parse());
-        effect.zip(place.ok()).is_some_and(|(effect, place)| options.allows(&EffectAt { effect, place }))
-    };
     readings.retain(|r| allowed(r) && !stated(r));
 
     let explanations = explain::explain(

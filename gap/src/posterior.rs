@@ -130,6 +130,15 @@ impl Posterior {
         self.settle(Some((&best, log)), null);
     }
 
+    /// Leaves out all named answers, where predictions without them are as good as the readings let them be; an unknown
+    /// cause has its prior then.
+    pub fn name_none(&mut self, null: &Fit) {
+        self.refuted.append(&mut self.answers);
+        self.residual_on_leader = None;
+        self.log_alone = self.log_alone.min(self.log_no_gap + PRIOR_UNKNOWN.ln());
+        self.settle(None, null);
+    }
+
     /// Takes back what a residual alone speaks for where it is no more than the form may be off by of what lowered the null
     /// model's mean squared error from `before`: commands that acted otherwise than they were recorded.
     pub fn forgive(&mut self, null: &Fit, before: f64) {

@@ -4,6 +4,7 @@ use parallax_model::effect::Effect;
 
 use crate::answers;
 use crate::posterior::Posterior;
+use crate::quantify::Row;
 use crate::readings::{self, Acted, ReadingEffect};
 use crate::rows::Rows;
 use crate::search::Fit;
@@ -22,6 +23,25 @@ const OWN_NOISE: f64 = 0.5;
 
 /// Share of the squared error on held-out time that a residual must leave for the rest to count as chance.
 const CHANCE: f64 = 0.5;
+
+/// Mean squared error on held-out time, in noise units squared, up to which a model predicts to the floor of the noise.
+const AT_FLOOR: f64 = 1.1;
+
+/// Share of the evidence of readings that lie on a lattice, repeat or jump below which that of a named effect is of what they are
+/// off by.
+const OF_ODD_READINGS: f64 = 0.02;
+
+/// Whether how the readings scatter is all there is: some lie on a lattice, repeat or jump, the `refitted` model predicts held-out
+/// time to the floor of their noise, and the leading answer lowers the cost by little (`gain`) beside them. Likelihoods take what
+/// such readings are off by for independent and normal; it is neither where the motion is slow.
+pub(super) fn are_all(readings: &[ReadingEffect], refitted: &Row, gain: f64) -> bool {
+    let odd = readings.iter().filter(|r| {
+        let effect = Effect::from_name(&r.name);
+        r.significant && matches!(effect, Some(Effect::Quantization | Effect::Stuck | Effect::Outliers))
+    });
+    let evidence: f64 = odd.map(|r| -r.evidence).sum();
+    refitted.mean_square() < AT_FLOOR && gain < OF_ODD_READINGS * evidence
+}
 
 /// What the models say, for what the readings show to be held against.
 pub(super) struct Models<'a> {
