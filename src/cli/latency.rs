@@ -166,12 +166,13 @@ fn options(arguments: &Arguments) -> Result<(Options, Vec<String>), Failure> {
     for &wait in &waits {
         let carriers: &[Carrier] = match wait {
             Wait::SpinThenBlock => &[Carrier::Graph],
+            // What is held against each other takes turns right after each other.
             _ => &[
-                Carrier::Graph,
                 Carrier::RecordedGraph,
-                Carrier::Channel,
+                Carrier::Graph,
                 Carrier::Iceoryx2,
                 Carrier::Futex,
+                Carrier::Channel,
                 Carrier::Crossbeam,
                 Carrier::UnixSocket,
             ],

@@ -1,12 +1,12 @@
-//! The nodes of a run as the launcher sees them: brought up together, watched, ended together.
+//! The nodes of a run as the launcher sees them: brought up together, and watched.
 //!
-//! What happens to a single node while the run goes on is in [`supervise`](super::supervise).
+//! What happens to a single node while the run goes on is in [`supervise`](super::supervise), how they end together in
+//! [`ending`](super::ending).
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use super::RunOptions;
-use super::account;
 use super::control::{Answer, Order, readable};
 use super::door::{Door, Passed};
 use super::error::RunError;
@@ -14,21 +14,19 @@ use super::event::{EventKind, Journal};
 use super::link::{Begin, Bridge, Turn};
 use super::plan::{self, Settings};
 use super::recorder::Recorder;
-use super::report::{End, Exit, NodeReport};
+use super::report::{End, Exit};
 use super::settings::{NodeSettings, OnDeadline};
 use super::signals::Signals;
-use super::vitals::{Vital, Vitals};
+use super::vitals::Vitals;
 use super::worker::{LEAVING, Worker};
 use crate::channel::{Endpoint, Space};
-use crate::clock::{WallClock, monotonic};
+use crate::clock::WallClock;
 use crate::graph::{Graph, OnDeadSender};
 use crate::time::Nanos;
 use parallax_model::system::Suggestion;
 
-/// How long nodes that wait for a dead one may take to stop by themselves before they are told to.
-const SETTLING: Duration = Duration::from_millis(300);
 /// How often the launcher looks around when nothing happens.
-const TICK: Nanos = 50_000_000;
+pub(super) const TICK: Nanos = 50_000_000;
 /// How often at most.
 const SHORTEST_TICK: Nanos = 2_000_000;
 
@@ -97,8 +95,12 @@ pub(super) struct Crew<'a> {
 
 impl Drop for Crew<'_> {
     fn drop(&mut self) {
-        // All are told before the first is waited for, and their time runs side by side.
-        self.members.iter_mut().for_each(|member| member.worker.hang_up());
+        // All are told before the first is waited for, and their time runs side by side. A node that only finds its line closed
+        // takes its launcher for dead, and stays until it knows.
+        for Member { worker, .. } in &mut self.members {
+            worker.order(&Order::Stop);
+            worker.hang_up();
+        }
         let start = Instant::now();
         for Member { worker, .. } in &mut self.members {
             worker.end_within(LEAVING.saturating_sub(start.elapsed()));
@@ -381,125 +383,8 @@ impl<'a> Crew<'a> {
                 .any(|receiver| self.site.graph.nodes()[*receiver].on_dead_sender == OnDeadSender::Stop)
     }
 
-    /// Lets the nodes that stop by themselves, because one that they wait for is gone, do so and say it.
-    fn settle(&mut self, clock: WallClock) {
-        let start = Instant::now();
-        while (0..self.members.len()).any(|node| self.about_to_stop(node)) && start.elapsed() < SETTLING {
-            self.pause(5_000_000);
-            (0..self.members.len()).for_each(|node| self.hear_out(node, clock, false));
-        }
-    }
-
-    /// Whether a node is about to stop by itself.
-    fn about_to_stop(&self, node: usize) -> bool {
-        let plan = &self.site.graph.nodes()[node];
-        let gone = |connection: &usize| {
-            let connection = &self.site.graph.connections()[*connection];
-            let sender = &self.members[connection.from];
-            connection.blocking && sender.state == State::Over && sender.exit != Some(Exit::Clean)
-        };
-        self.members[node].state == State::Up
-            && plan.on_dead_sender == OnDeadSender::Stop
-            && plan.inputs.iter().any(gone)
-    }
-
-    /// Stops all nodes and waits until each has said how it fared.
-    pub(super) fn stop(&mut self, clock: WallClock) {
-        self.settle(clock);
-        self.order_all(&Order::Stop);
-        for member in &mut self.members {
-            // Nobody is started again now.
-            if matches!(member.state, State::Down(_) | State::Coming(_)) {
-                member.state = State::Over;
-                member.worker.hang_up();
-            }
-        }
-        let start = Instant::now();
-        while self
-            .members
-            .iter()
-            .any(|member| member.state == State::Up && start.elapsed() < self.allowed(member))
-        {
-            if let Some(bridge) = &mut self.bridge {
-                // It answers for the nodes of other machines. A link that fails now is told of in its report.
-                let _ = bridge.look();
-            }
-            self.pause(TICK);
-            (0..self.members.len()).for_each(|node| self.hear_out(node, clock, true));
-        }
-    }
-
-    /// How long a node may take to stop. One that hangs has had its time already.
-    fn allowed(&self, member: &Member) -> Duration {
-        let heartbeat = member.settings.heartbeat;
-        let beat = member.vitals.get(Vital::Beat) as Nanos;
-        let hangs_in_step =
-            member.vitals.get(Vital::Stepping) > 0 && monotonic().saturating_sub(beat) > heartbeat;
-        match member.silent {
-            _ if hangs_in_step => Duration::ZERO,
-            Some(_) => self.patience.min(Duration::from_nanos(heartbeat.max(0) as u64)),
-            None => self.patience,
-        }
-    }
-
-    /// Takes in what a node says of its end.
-    fn hear_out(&mut self, node: usize, clock: WallClock, over: bool) {
-        if self.members[node].state != State::Up {
-            return;
-        }
-        if let Some((exit, problem, _)) = self.end_of(node) {
-            if let Some(problem) = problem {
-                self.note(clock, node, EventKind::StopFailed { problem });
-            }
-            // Also what nobody has to be told any more belongs into the recording.
-            match over {
-                _ if exit == Exit::Clean => {}
-                true => self.record_end(node, &exit, clock),
-                false => self.mourn(node, &exit, clock),
-            }
-            self.members[node].state = State::Over;
-            self.members[node].exit = Some(exit);
-        }
-    }
-
     pub(super) fn note(&mut self, clock: WallClock, node: usize, kind: EventKind) {
         let name = &self.site.graph.nodes()[node].name;
         self.journal.note(clock.now(), name, kind);
-    }
-
-    /// Lets all nodes end; gives their reports.
-    pub(super) fn dismiss(mut self, clock: WallClock) -> (Vec<NodeReport>, Journal) {
-        // All lines are closed before the first wait: nodes end side by side.
-        self.members.iter_mut().for_each(|member| member.worker.hang_up());
-        let start = Instant::now();
-        for node in 0..self.members.len() {
-            let patience = self.allowed(&self.members[node]).saturating_sub(start.elapsed());
-            let member = &mut self.members[node];
-            let in_time = member.worker.join(patience);
-            if member.exit.is_none() || member.state == State::Up {
-                let status = if in_time { "ended without a report" } else { "did not stop and was killed" };
-                let silent = member.silent.map(|since| monotonic().saturating_sub(since));
-                member.exit = Some(match silent {
-                    Some(silent) => Exit::Hung { silent },
-                    None => Exit::Died { pid: member.worker.pid(), status: status.into() },
-                });
-                if !in_time {
-                    member.worker.kill();
-                }
-                // Nobody has called its stop.
-                self.stop_hardware(node, clock);
-            }
-        }
-        for (node, mut worker) in std::mem::take(&mut self.stopping) {
-            worker.join(self.patience);
-            let kind = match worker.death() {
-                Some(Exit::Died { status, .. }) if status == "exit status 0" => EventKind::StoppedAfterCrash,
-                Some(exit) => EventKind::StopFailed { problem: format!("a fresh process of it {exit}") },
-                None => EventKind::StopFailed { problem: "a fresh process of it did not end in time".into() },
-            };
-            self.note(clock, node, kind);
-        }
-        let reports = account::reports(&self.site, &self.members);
-        (reports, std::mem::take(&mut self.journal))
     }
 }

@@ -34,6 +34,7 @@ mod cores;
 mod crew;
 mod desk;
 mod door;
+mod ending;
 mod error;
 mod event;
 mod launcher;

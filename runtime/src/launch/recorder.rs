@@ -266,7 +266,9 @@ impl<'a> Recorder<'a> {
 
 impl Drop for Recorder<'_> {
     fn drop(&mut self) {
-        // After a run that was not made, the recorder must be gone before the run's shared memory is.
+        // After a run that was not made, the recorder must be gone before the run's shared memory is. One that only finds its
+        // line closed takes its launcher for dead, and waits for what dying nodes may still send.
+        self.worker.order(&Order::Finish { duration: 0 });
         self.worker.hang_up();
         self.worker.join(Duration::from_secs(2));
         if let Some(path) = self.empty.take() {

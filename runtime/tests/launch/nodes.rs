@@ -216,6 +216,13 @@ pub(crate) fn registry() -> Registry {
                 Ok(Where)
             }),
         )
+        .with(
+            "tardy",
+            NodeKind::new(|_| {
+                std::thread::sleep(std::time::Duration::from_millis(500));
+                Ok(Where)
+            }),
+        )
         .with("adder", NodeKind::new(|context| Ok(Adder { trouble: context.parameters()? })).input(SOURCE))
         .with(
             "driver",

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitCode, Stdio};
 use std::time::{Duration, Instant};
 
-use parallax_runtime::graph::{GraphSpec, OnDeadSender, SafeValue};
-use parallax_runtime::launch::{EventKind, Exit, RunOptions, run};
+use parallax_runtime::graph::{GraphSpec, NodeSpec, OnDeadSender, SafeValue};
+use parallax_runtime::launch::{EventKind, Exit, Mode, RunError, RunOptions, run};
 
 use crate::Test;
 use crate::failures::{alive, remains, signal};
@@ -20,6 +20,7 @@ pub(crate) const TESTS: &[Test] = &[
     ("a_sender_that_hangs_leaves_safe_commands", a_sender_that_hangs_leaves_safe_commands),
     ("a_driver_that_fails_or_panics_stops", a_driver_that_fails_or_panics_stops),
     ("a_killed_driver_is_stopped_by_a_fresh_process", a_killed_driver_is_stopped_by_a_fresh_process),
+    ("a_start_that_is_given_up_stops_a_driver_in_order", a_start_that_is_given_up_stops_a_driver_in_order),
     ("without_a_launcher_everything_ends_safely", without_a_launcher_everything_ends_safely),
     ("what_a_crash_of_everybody_leaves_is_removed", what_a_crash_of_everybody_leaves_is_removed),
 ];
@@ -142,6 +143,27 @@ fn a_killed_driver_is_stopped_by_a_fresh_process() {
     let settings = "[node.driver]\nstop_after_crash = true\nheartbeat = 0.1\n";
     observe(&graph(&log, "driver", "hang", 10), 0.4, settings);
     assert_eq!(read(&log).last().unwrap(), "stop AfterCrash");
+}
+
+fn a_start_that_is_given_up_stops_a_driver_in_order() {
+    for mode in [Mode::Processes, Mode::Threads] {
+        let (folder, log) = logged();
+        let mut graph = graph(&log, "counter", "", 0);
+        // The launcher waits for it, and gives up once the driver is there.
+        let slow = if mode == Mode::Processes { "sleepy" } else { "tardy" };
+        graph.nodes.push(NodeSpec::new("eye", slow, 10.0));
+        let built = log.clone();
+        let options = RunOptions {
+            mode,
+            recording: Some(folder.path().join("run.mcap")),
+            progress: Some(Box::new(move |_| !built.exists())),
+            ..RunOptions::default()
+        };
+        let error = run(&graph, &registry(), options).unwrap_err();
+        assert!(matches!(error, RunError::Interrupted), "{error}");
+        // It is told so, and does not take its launcher for dead, which it would look for.
+        ends(&read(&log), "Over");
+    }
 }
 
 /// Under this argument this program is a launcher of a driver that runs until it is stopped: `LOG`.

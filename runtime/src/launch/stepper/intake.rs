@@ -38,11 +38,14 @@ pub(super) struct Input {
     pub(super) counted: u64,
     /// Whether nothing was left waiting when it was last looked at.
     pub(super) empty: bool,
+    /// Whether something has arrived that is not [shown](Stepper::show) yet.
+    pub(super) news: bool,
 }
 
 impl Input {
-    /// Takes the next message apart, if there is one: gives its head, and whether it is as long as it has to be.
-    fn next(&mut self) -> Result<Option<([u64; MESSAGE_HEAD], bool)>, ChannelError> {
+    /// Takes the next message apart, if there is one: gives when it was there, its head, and whether it is as long as it has to
+    /// be.
+    fn next(&mut self, clock: WallClock) -> Result<Option<(Nanos, [u64; MESSAGE_HEAD], bool)>, ChannelError> {
         let (mut head, mut fits) = ([0; MESSAGE_HEAD], false);
         let leaves = MESSAGE_HEAD + self.values.len();
         let expected = leaves + data_words(self.capacity);
@@ -57,9 +60,11 @@ impl Input {
             }
         };
         if self.capacity == 0 {
-            return Ok(self.subscriber.receive(read)?.then_some((head, fits)));
+            let received = self.subscriber.receive_at(|| clock.now(), read)?;
+            return Ok(received.map(|received| (received, head, fits)));
         }
         let Some(view) = self.subscriber.take()? else { return Ok(None) };
+        let received = clock.now();
         read(&view);
         // A sender that says it wrote more than there is room for is not believed.
         let length = usize::try_from(view.get(leaves).copied().unwrap_or(u64::MAX)).unwrap_or(usize::MAX);
@@ -74,7 +79,7 @@ impl Input {
                 Data::default()
             }
         };
-        Ok(Some((head, fits)))
+        Ok(Some((received, head, fits)))
     }
 }
 
@@ -111,18 +116,16 @@ impl Stepper {
         let mut taken = Taken::Nothing;
         for index in 0..self.inputs.len() {
             let before = self.inputs[index].empty;
-            let mut any = false;
             loop {
-                let next = self.inputs[index].next()?;
+                let next = self.inputs[index].next(clock)?;
                 self.inputs[index].empty = next.is_none();
-                let Some((head, fits)) = next else { break };
+                let Some((received, head, fits)) = next else { break };
                 // What arrives after the end belongs to no step.
-                let received = clock.now();
                 if received >= end {
                     taken = Taken::Something;
                     continue;
                 }
-                any = true;
+                self.inputs[index].news = true;
                 let [seq, sent] = head;
                 let sent = match &self.inputs[index].clock {
                     None => sent,
@@ -154,9 +157,6 @@ impl Stepper {
                 if before && !all && awaited.is_some_and(|missing| missing <= 0) {
                     break;
                 }
-            }
-            if any {
-                self.show(index);
             }
         }
         Ok(taken)
@@ -225,6 +225,16 @@ impl Stepper {
         match &mut self.records {
             Some(records) => records.loss(input, seqs.start, count, time, reason, &self.vitals),
             None => Ok(()),
+        }
+    }
+
+    /// Shows where the messages are that have arrived since that was last shown. The step that they lead to shows it, too, when
+    /// its own message is under way: nothing of this comes between a message and the step that waits for it.
+    pub(super) fn show_news(&mut self) {
+        for input in 0..self.inputs.len() {
+            if std::mem::take(&mut self.inputs[input].news) {
+                self.show(input);
+            }
         }
     }
 

@@ -32,7 +32,7 @@ use crate::time::{Grid, Nanos};
 /// A wait is never longer than this, so that an order to stop is seen soon and signs of life are given.
 const PATIENCE: Nanos = 20_000_000;
 /// How often a message is polled for before anything else is looked at again: some microseconds.
-const POLLS: u32 = 16;
+const POLLS: u32 = 64;
 /// So long after a step its receivers have taken what it gave, if they poll.
 const SETTLED: Nanos = 10_000;
 /// Between the order to take up the work of an earlier process and its first step.
@@ -122,6 +122,7 @@ impl Stepper {
                 resumed: false,
                 counted: 0,
                 empty: false,
+                news: false,
             });
         }
         let records = match settings.recording {
@@ -241,6 +242,9 @@ impl Stepper {
             let wait = self.inbox.gate().ready();
             let awaits = if let Wait::Message { input, .. } = wait { input as u64 + 1 } else { 0 };
             self.vitals.set(Vital::Awaits, awaits);
+            if !matches!(wait, Wait::Until(time) if now >= time) {
+                self.show_news();
+            }
             match wait {
                 Wait::Until(time) if time.max(now) >= end => {
                     // A step that comes after the end would be the next; nothing is left to do but to wait
@@ -393,6 +397,7 @@ impl Stepper {
         self.vitals.set(Vital::Ended, (clock.epoch() + end) as u64);
         for (input, window) in self.inbox.windows().iter().enumerate() {
             self.show(input);
+            self.inputs[input].news = false;
             let stamps = || window.stamps().iter().filter(|stamp| stamp.seq.is_some());
             self.vitals.set_input(input, InputVital::Filled, stamps().count() as u64);
             // Counted here and not on arrival: nothing comes between a message and the step that waits for it.
@@ -413,6 +418,8 @@ impl Stepper {
         let mut problem = None;
         // Whatever it does from here on is no step.
         self.vitals.set(Vital::Stepping, 0);
+        // What arrived for a step that did not end, or for none.
+        self.show_news();
         if why != Stopping::Failed && self.inbox.has_safe() {
             let now = clock.now();
             let Self { node, inbox, values, room, output, .. } = self;

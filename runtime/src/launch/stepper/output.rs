@@ -94,7 +94,9 @@ impl NodeSettings {
                 OnDeadline::Stop => return Err(StepError::Deadline { seq, took, deadline }),
             }
         }
-        if let Some(leaf) = values.iter().position(|value| !value.is_finite()) {
+        // All at once: a search that may end at each value is not made of vector instructions.
+        let finite = values.iter().fold(true, |finite, value| finite & value.is_finite());
+        if !finite && let Some(leaf) = values.iter().position(|value| !value.is_finite()) {
             if vitals.get(Vital::NonFinite) == 0 {
                 vitals.set(Vital::NonFiniteStep, seq);
                 vitals.set(Vital::NonFiniteLeaf, leaf as u64);
