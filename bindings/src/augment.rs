@@ -64,7 +64,7 @@ impl NativeGraph {
         let registry = with_python(registry(), Vec::new())?;
         let made = py.detach(|| augmentation.apply(&registry, &episodes.episodes, seed)).map_err(raise)?;
         let trainable = made.trainable.iter().map(|delay| {
-            let linear = delay.interpolation == Interpolation::Linear;
+            let linear = delay.interpolation != Interpolation::Hold;
             (delay.connection, to_seconds(delay.min), to_seconds(delay.max), linear)
         });
         let trainable = trainable.collect();

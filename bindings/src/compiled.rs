@@ -151,7 +151,7 @@ fn input<'py>(
     result.set_item("received", array(py, rows.received.clone(), shape)?)?;
     result.set_item("read", array(py, rows.read.clone(), shape)?)?;
     let trainable = rows.trainable.map(|delay| {
-        let linear = delay.interpolation == Interpolation::Linear;
+        let linear = delay.interpolation != Interpolation::Hold;
         (to_seconds(delay.min), to_seconds(delay.max), if linear { "linear" } else { "hold" }, delay.skip)
     });
     result.set_item("trainable", trainable)?;

@@ -275,6 +275,9 @@ impl Found {
 /// predict to refute it. Evidence is of one-step predictions; what holds there and fails on fresh motion is no machine.
 const OVERTAKES: f64 = 0.9;
 
+/// Share of the gap on held-out time below which, with certainty, an answer closes nothing of it.
+const CLOSES_NOTHING: f64 = 0.02;
+
 fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) -> Diagnosis {
     let Found { setup, null, mut answers, p_value, not_testable, absorbed, mut readings } = found;
     let setup = &setup;
@@ -294,11 +297,11 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     };
     let row = |fit: &Fit| predicted(setup, fit);
     let refitted = predicted(scored, &null);
-    let gain = answers.cost(&null) - answers.cost(answers.leader(&null));
-    if acted.is_none() && causes::are_all(&readings, &refitted, gain) {
+    let gain = |answers: &posterior::Posterior| answers.cost(&null) - answers.cost(answers.leader(&null));
+    if acted.is_none() && causes::are_all(&readings, &refitted, gain(&answers)) {
         answers.name_none(&null);
     }
-    let detected = p_value < 0.01 && answers.no_gap < 0.5;
+    let mut detected = p_value < 0.01 && answers.no_gap < 0.5;
     let worse = |with: &Row| quantify::closed(&refitted, with, options.seed).high < 0.0;
     let mut with_best = None;
     while detected && answers.names() {
@@ -310,6 +313,14 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
             break;
         }
         answers.refute(setup, &null);
+    }
+    if let Some(with) = &with_best
+        && acted.is_none()
+        && quantify::closed(&refitted, with, options.seed).high < CLOSES_NOTHING
+        && causes::are_times(&readings::scatter(setup, &null), gain(&answers))
+    {
+        answers.name_none(&null);
+        (detected, with_best) = (false, None);
     }
     let named = answers.names();
     let best = &answers.leader(&null).clone();

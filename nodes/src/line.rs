@@ -9,7 +9,7 @@ use parallax_model::Scalar;
 use parallax_model::node_model::NodeStep;
 
 /// For every leaf of the commands at `port`, over the tick of `period` seconds that ends at the step's start: their mean, and
-/// how far the line's ends are from it. `moment` is 12/h³.
+/// how far the line's ends are from it. `moment` is 12/h³; `before` is what acts before the first command is there.
 #[inline(always)]
 #[allow(clippy::needless_range_loop, reason = "what iterates over two lists stays a call in a large kernel")]
 pub(crate) fn lines<T: Scalar, const N: usize>(
@@ -17,6 +17,7 @@ pub(crate) fn lines<T: Scalar, const N: usize>(
     port: &str,
     period: T,
     moment: T,
+    before: [T; N],
 ) -> [(T, T); N] {
     let window = step.window(port);
     let begin = step.start - period;
@@ -30,10 +31,11 @@ pub(crate) fn lines<T: Scalar, const N: usize>(
         } else {
             period
         };
-        let (_, leaves) = step.raw(port, index);
+        let ([seq, ..], leaves) = step.raw(port, index);
+        let never = seq.lt(zero);
         let (length, square) = (to - from, (to * to - from * from) * 0.5);
         for leaf in 0..N {
-            let value = leaves[leaf].loaded();
+            let value = T::select(never, before[leaf], leaves[leaf].loaded());
             sums[leaf].0 += value * length;
             sums[leaf].1 += value * square;
         }

@@ -43,6 +43,13 @@ pub(super) fn are_all(readings: &[ReadingEffect], refitted: &Row, gain: f64) -> 
     refitted.mean_square() < AT_FLOOR && gain < OF_ODD_READINGS * evidence
 }
 
+/// Whether the times of some readings scatter, and say more than a named answer that closes nothing lowers the cost (`gain`): it
+/// follows what such readings are off by.
+pub(super) fn are_times(scattered: &[ReadingEffect], gain: f64) -> bool {
+    let times = |r: &&ReadingEffect| r.significant && r.name == "jitter" && r.place.starts_with("output:");
+    scattered.iter().filter(times).any(|r| -r.evidence > gain)
+}
+
 /// What the models say, for what the readings show to be held against.
 pub(super) struct Models<'a> {
     setup: &'a Setup,
@@ -154,5 +161,48 @@ impl<'a> Models<'a> {
         let here = effects.iter().all(|at| at.place.to_string() == r.place);
         let share = if r.place.starts_with("input:") { OF_FORM_AT_INPUT } else { OF_FORM };
         r.name == "jitter" && !here && !self.has_mean_of(r) && -r.evidence < share * self.gain
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{are_all, are_times};
+    use crate::quantify::{Block, Row};
+    use crate::readings::{LogDensity, ReadingEffect};
+
+    fn shown(name: &str, place: &str, evidence: f64) -> ReadingEffect {
+        let parameters = std::collections::BTreeMap::new();
+        let (significant, log_density, share) = (evidence < -10.0, LogDensity::default(), None);
+        ReadingEffect {
+            name: name.into(),
+            place: place.into(),
+            parameters,
+            evidence,
+            significant,
+            log_density,
+            share,
+        }
+    }
+
+    fn off_by(error: f64) -> Row {
+        Row { blocks: vec![Block { squares: 4.0 * error * error, count: 4 }], readings: Vec::new() }
+    }
+
+    #[test]
+    fn little_evidence_beside_odd_readings_at_their_floor_is_none() {
+        let odd = [shown("quantization", "output:q", -4000.0)];
+        assert!(are_all(&odd, &off_by(1.0), 25.0));
+        assert!(!are_all(&odd, &off_by(1.0), 500.0), "what weighs much is an effect");
+        assert!(!are_all(&odd, &off_by(2.0), 25.0), "a mean is left to be explained");
+        assert!(!are_all(&[shown("noise", "output:q", -4000.0)], &off_by(1.0), 25.0), "noise is what is assumed");
+        assert!(!are_all(&[shown("stuck", "output:q", -5.0)], &off_by(1.0), 0.0), "it is not there");
+    }
+
+    #[test]
+    fn times_of_readings_say_more_than_an_answer_that_closes_nothing() {
+        let of = |place: &str, evidence: f64| [shown("jitter", place, evidence)];
+        assert!(are_times(&of("output:q", -3000.0), 700.0));
+        assert!(!are_times(&of("output:q", -300.0), 700.0));
+        assert!(!are_times(&of("input:u", -3000.0), 700.0), "a command that scatters moves the machine");
     }
 }

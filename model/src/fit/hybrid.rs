@@ -12,6 +12,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::normal::{even, stream};
+use super::sweep::along;
 use super::{
     Ask, Best, Bounds, CmaEs, CmaOptions, FitError, LevenbergMarquardt, MarquardtOptions, Solver, Stop, Tell,
     View, ranked,
@@ -53,6 +54,12 @@ pub struct HybridOptions {
     pub restarts: usize,
     /// The loss aimed at, over all of the data. Absent: it starts again until two rounds end at the same loss.
     pub target: Option<f64>,
+    /// How many rounds have to end at the same loss before it ends; absent: one where a loss is aimed at, else two.
+    pub alike: Option<usize>,
+    /// Parameters, by their places, from one end of the box to the other of which it looks again where it would end: on the way
+    /// the others follow as its model says. For those in which the loss jumps, such as a delay by which a message comes in
+    /// time or not.
+    pub swept: Vec<usize>,
     /// Seed of all it draws.
     pub seed: u64,
 }
@@ -74,6 +81,8 @@ impl Default for HybridOptions {
             gain: 2e-2,
             restarts: 8,
             target: None,
+            alike: None,
+            swept: Vec::new(),
             seed: 1,
         }
     }
@@ -85,6 +94,14 @@ const MOST_EFFORT: usize = 4;
 const HOPELESS: f64 = 4.0;
 /// So many times the loss aimed at, where a further share begins, is too large a step.
 const FAR: f64 = 100.0;
+/// Pieces are left out where points that fit a share of the data are not further from the loss aimed at on all of them.
+const NEAR: f64 = 4.0;
+/// Of the places along swept parameters it goes on from one whose loss is less by this, …
+const WORTH: f64 = 1.0;
+/// … so often.
+const SWEEPS: usize = 3;
+/// So many rounds are enough where they do not end alike.
+const ENOUGH_ROUNDS: usize = 4;
 /// Steps from one share to the next are made smaller until they are by this factor.
 const SMALLEST_STEP: f64 = 1.08;
 
@@ -109,6 +126,15 @@ enum Phase {
         step: usize,
         search: LevenbergMarquardt,
     },
+    /// The model at the best point is looked for.
+    Looking {
+        point: Vec<f64>,
+        stop: Stop,
+    },
+    Sweeping {
+        points: Vec<Vec<f64>>,
+        stop: Stop,
+    },
     Done(Stop),
 }
 
@@ -130,6 +156,12 @@ pub struct Hybrid {
     cut: bool,
     /// Whether what is refined on all of the data came from the pieces.
     shot: bool,
+    /// Whether all of the data have been looked at without pieces in this round.
+    #[serde(default)]
+    leapt: bool,
+    /// How often parameters have been swept, and the loss before.
+    #[serde(default)]
+    swept: (usize, Option<f64>),
     /// What the rounds ended at.
     ends: Vec<f64>,
 }
@@ -164,6 +196,8 @@ impl Hybrid {
             held: None,
             cut: false,
             shot: false,
+            leapt: false,
+            swept: (0, None),
             scouts: Vec::new(),
             ends: Vec::new(),
             bounds,
@@ -247,6 +281,10 @@ impl Hybrid {
         let Some((held, ends)) = &self.held else { return self.next_round() };
         let shares = &self.options.shares;
         if self.may_cut() && *held >= self.options.enough {
+            if self.options.target.is_some() && self.alike() == 1 && !std::mem::replace(&mut self.leapt, true)
+            {
+                return self.refinement(1.0, &apart(ends, 1, &self.bounds));
+            }
             return Ok(self.cutting());
         }
         let Some(next) = shares.iter().find(|share| *share > held) else { return self.next_round() };
@@ -314,8 +352,9 @@ impl Hybrid {
                     Some(least) if share >= 1.0 => {
                         self.ends.push(least);
                         match self.is_good_enough() {
-                            Some(stop) => Ok(Phase::Done(stop)),
-                            // Without the pieces it may come out elsewhere.
+                            Some(stop) => Ok(self.sweep(stop)),
+                            // With the pieces it may come out elsewhere, or without.
+                            None if self.leapt && self.may_cut() => Ok(self.cutting()),
                             None if std::mem::take(&mut self.shot) => self.grow(),
                             None => self.next_round(),
                         }
@@ -345,9 +384,22 @@ impl Hybrid {
                     self.refinement(1.0, &points.iter().map(|point| point[..n].to_vec()).collect::<Vec<_>>())
                 }
             }
+            Phase::Looking { .. } | Phase::Sweeping { .. } => return,
             Phase::Done(stop) => Ok(Phase::Done(*stop)),
         };
         self.phase = next.unwrap_or(Phase::Done(Stop::Failed));
+    }
+
+    /// Ends, unless parameters are to be swept from where it would.
+    fn sweep(&mut self, stop: Stop) -> Phase {
+        let (count, before) = self.swept;
+        let Some(best) = &self.best else { return Phase::Done(stop) };
+        let worth = before.is_none_or(|before| best.loss < before - WORTH);
+        if self.options.swept.is_empty() || count >= SWEEPS || !worth {
+            return Phase::Done(stop);
+        }
+        self.swept = (count + 1, Some(best.loss));
+        Phase::Looking { point: best.point.clone(), stop }
     }
 
     fn next_round(&mut self) -> Result<Phase, FitError> {
@@ -363,7 +415,7 @@ impl Hybrid {
         }
         self.round += 1;
         self.scouts.clear();
-        (self.held, self.cut, self.shot) = (None, false, false);
+        (self.held, self.cut, self.shot, self.leapt) = (None, false, false, false);
         self.scouting()
     }
 
@@ -375,13 +427,19 @@ impl Hybrid {
     /// Whether the last round ended well.
     fn is_good_enough(&self) -> Option<Stop> {
         let least = self.best.as_ref()?.loss;
+        let near = |end: &&f64| **end <= least + 1e-3 * least.abs() + 10.0 * self.options.gain;
+        let alike = self.ends.iter().filter(near).count() >= self.alike();
         match self.options.target {
-            Some(target) => (least <= target).then_some(Stop::Target),
-            None => {
-                let near = |end: &&f64| **end <= least + 1e-3 * least.abs() + 10.0 * self.options.gain;
-                (self.ends.iter().filter(near).count() >= 2).then_some(Stop::Converged)
+            Some(target) => {
+                let ends = alike || self.ends.len() >= ENOUGH_ROUNDS;
+                (least <= target && ends).then_some(Stop::Target)
             }
+            None => alike.then_some(Stop::Converged),
         }
+    }
+
+    fn alike(&self) -> usize {
+        self.options.alike.unwrap_or(if self.options.target.is_some() { 1 } else { 2 })
     }
 }
 
@@ -447,6 +505,13 @@ impl Solver for Hybrid {
                     let points = points.clone();
                     return Ask::States { points, view: self.in_pieces(0) };
                 }
+                Phase::Looking { point, .. } => {
+                    return Ask::Locals { points: vec![point.clone()], view: View::whole(1.0) };
+                }
+                Phase::Sweeping { points, .. } => {
+                    let (points, view) = (points.clone(), View::whole(1.0));
+                    return Ask::Losses { points, view, single: false };
+                }
                 Phase::Done(stop) => return Ask::Done(*stop),
             };
             match ask {
@@ -491,7 +556,13 @@ impl Solver for Hybrid {
                 }
                 let least = best.map_or(f64::INFINITY, |best| best.loss);
                 let step = self.held.as_ref().map_or(0.0, |(held, _)| share / held);
-                if begins && !self.shot && step > SMALLEST_STEP && self.is_far(FAR, share, least) {
+                if self.swept.0 > 0 {
+                    // Wherever it begins, it has seen all of the data.
+                } else if begins && self.leapt && self.may_cut() {
+                    if self.is_far(NEAR, share, least) {
+                        self.phase = self.cutting();
+                    }
+                } else if begins && !self.shot && step > SMALLEST_STEP && self.is_far(FAR, share, least) {
                     self.phase = self.shrink(share).unwrap_or(Phase::Done(Stop::Failed));
                 }
             }
@@ -500,6 +571,29 @@ impl Solver for Hybrid {
                 let Tell::States(found) = answer else { panic!("it asked for states") };
                 assert_eq!(found.len(), points.len(), "states for every point asked for");
                 self.phase = self.shooting(0, &found).unwrap_or(Phase::Done(Stop::Failed));
+            }
+            Phase::Looking { point, stop } => {
+                let Tell::Locals(locals) = answer else { panic!("it asked for a model") };
+                let (point, stop) = (point.clone(), *stop);
+                let local = locals.first().filter(|local| local.is_finite());
+                let points = local
+                    .map_or_else(Vec::new, |local| along(&point, local, &self.bounds, &self.options.swept));
+                self.phase = match points.is_empty() {
+                    true => Phase::Done(stop),
+                    false => Phase::Sweeping { points, stop },
+                };
+            }
+            Phase::Sweeping { points, stop } => {
+                let Tell::Losses(losses) = answer else { panic!("it asked for losses") };
+                assert_eq!(losses.len(), points.len(), "a loss for every point asked for");
+                let stop = *stop;
+                let least =
+                    ranked(&losses).first().map(|&k| Best { point: points[k].clone(), loss: losses[k] });
+                let worth = |least: &Best| self.best.as_ref().is_none_or(|b| least.loss < b.loss - WORTH);
+                self.phase = match least.filter(worth) {
+                    Some(least) => self.refinement(1.0, &[least.point]).unwrap_or(Phase::Done(stop)),
+                    None => Phase::Done(stop),
+                };
             }
             Phase::Done(_) => panic!("it asked for nothing"),
         }
@@ -514,7 +608,7 @@ impl Solver for Hybrid {
             Phase::Cutting { .. } | Phase::Shooting { .. } => {
                 self.held.as_ref().and_then(|(_, ends)| ends.first())
             }
-            Phase::Done(_) => None,
+            Phase::Looking { .. } | Phase::Sweeping { .. } | Phase::Done(_) => None,
         };
         self.best.as_ref().or(searched)
     }
@@ -529,6 +623,7 @@ impl Solver for Hybrid {
             Phase::Cutting { .. } => 2.0,
             Phase::Shooting { step, search } => 2.0 + (*step as f64 + search.progress()) / tightened,
             Phase::Refinement { search, .. } => 3.0 + search.progress(),
+            Phase::Looking { .. } | Phase::Sweeping { .. } => 4.0,
             Phase::Done(_) => return 1.0,
         };
         // Most fits need one round, or two that agree.

@@ -40,6 +40,9 @@ struct Track {
     point: Vec<f64>,
     /// What is known around the point.
     local: Option<Local>,
+    /// The loss there, where it is known.
+    #[serde(default)]
+    loss: Option<f64>,
     damping: f64,
     steps: usize,
     done: bool,
@@ -60,6 +63,9 @@ pub struct LevenbergMarquardt {
 
 /// Dampings that are tried at once differ by this factor.
 const STEP: f64 = 20.0;
+/// Steps are tried as well for which each parameter has a normal prior around where it is, with so many standard deviations
+/// in its scale, squared: they are whole in what the data tell, however it is mixed with what they do not.
+const RIDGES: [f64; 2] = [3.0, 100.0];
 /// Above this damping, steps are too short to matter.
 const LARGEST: f64 = 1e9;
 /// Below this one, steps are those of Gauss–Newton.
@@ -84,6 +90,7 @@ impl LevenbergMarquardt {
             tracks.push(Track {
                 point,
                 local: None,
+                loss: None,
                 damping: options.damping,
                 steps: 0,
                 done: false,
@@ -98,7 +105,7 @@ impl LevenbergMarquardt {
 
     /// Where every start is now, with its loss where that is known.
     pub fn ends(&self) -> impl Iterator<Item = (&[f64], Option<f64>)> {
-        self.tracks.iter().map(|track| (track.point.as_slice(), track.local.as_ref().map(|local| local.cost)))
+        self.tracks.iter().map(|track| (track.point.as_slice(), track.loss))
     }
 
     /// Prepares the steps of a track that knows its surroundings; it is done where none promises a gain.
@@ -129,6 +136,19 @@ impl LevenbergMarquardt {
                 track.trials.push((trial, damping));
             }
         }
+        for ridge in RIDGES {
+            let mut ridged = hessian.clone();
+            for (i, scale) in self.scale.iter().enumerate() {
+                ridged[(i, i)] += ridge / (scale * scale);
+            }
+            let step = bounded_step(corners, &track.point, &ridged, &gradient, SMALLEST);
+            let Some(step) = step else { continue };
+            let mut trial: Vec<f64> = track.point.iter().zip(&step).map(|(x, d)| x + d).collect();
+            self.bounds.clamp(&mut trial);
+            if trial != track.point && track.trials.iter().all(|(other, _)| *other != trial) {
+                track.trials.push((trial, track.damping));
+            }
+        }
         track.done = track.trials.is_empty();
     }
 
@@ -143,6 +163,7 @@ impl LevenbergMarquardt {
             Some(((point, damping), loss)) if *loss < now => {
                 track.done = now - loss < self.options.gain;
                 track.point = point;
+                track.loss = Some(*loss);
                 track.damping = (damping / STEP.sqrt()).clamp(SMALLEST, LARGEST);
                 track.local = None;
             }
@@ -155,9 +176,9 @@ impl LevenbergMarquardt {
         }
     }
 
-    /// Whether a track has to be told its surroundings: a track that has ended needs the loss where it ended.
+    /// Whether a track has to be told its surroundings.
     fn needs_local(track: &Track) -> bool {
-        track.local.is_none()
+        track.local.is_none() && !track.done
     }
 }
 
@@ -201,6 +222,7 @@ impl Solver for LevenbergMarquardt {
                 for (track, local) in waiting.into_iter().zip(locals) {
                     Best::keep(&mut self.best, &track.point, local.cost);
                     track.done |= !local.is_finite();
+                    track.loss = Some(local.cost);
                     track.local = Some(local);
                 }
             }

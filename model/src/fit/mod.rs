@@ -35,6 +35,7 @@ mod local;
 mod marquardt;
 mod normal;
 pub mod separable;
+mod sweep;
 
 use serde::{Deserialize, Serialize};
 

@@ -176,7 +176,7 @@ impl NodeModel for Simulator {
     ) -> (State<T>, WorldState<T>) {
         let c: Prepared<T> = Prepared::read_from(step.prepared);
         let (h, zero) = (p.period, T::constant(0.0));
-        let [(mean, lean)] = lines(step, MOTOR.name(), h, c.moment);
+        let [(mean, lean)] = lines(step, MOTOR.name(), h, c.moment, [zero]);
         let volts = [mean - lean + p.offset, mean + p.offset, mean + lean + p.offset];
         let State { angle, speed } = state;
 

@@ -104,11 +104,9 @@ impl NodeModel for Simulator {
     #[inline(always)]
     fn step<T: Scalar>(p: &Parameters<T>, state: State<T>, step: &NodeStep<'_, T>) -> (State<T>, Motion<T>) {
         let c: Prepared<T> = Prepared::read_from(step.prepared);
-        let [pwm, roll, pitch] = lines(step, PID.name(), p.period, c.moment);
-        // Before the first command the rotors carry its weight.
-        let known = step.latest::<Command<T>>(PID.name()).was_sent();
         let zero = T::constant(0.0);
-        let pwm = (T::select(known, pwm.0, c.hover), T::select(known, pwm.1, zero));
+        // Before the first command the rotors carry its weight.
+        let [pwm, roll, pitch] = lines(step, PID.name(), p.period, c.moment, [c.hover, zero, zero]);
         let mean = Input { pwm: pwm.0, roll: roll.0, pitch: pitch.0 };
         let lean = Input { pwm: pwm.1, roll: roll.1, pitch: pitch.1 };
         let next = quadrotor::step_along(&c.quadrotor, state, mean, lean, p.period);

@@ -113,15 +113,149 @@ impl<T: InMemory> Select<'_, T> {
 /// For so many candidates, whether they are there is found once for all that is selected.
 const KEPT: usize = 16;
 
+/// Four messages in a row, and when: the middle ones are around what is looked for, or those before the last that is none are
+/// the newest.
+#[derive(Clone, Copy)]
+struct Row {
+    /// Their candidates.
+    four: [usize; 4],
+    /// When the second was sent, s after the start; for an earlier place of the window later by what lies between it and the
+    /// newest.
+    sent: f64,
+    /// How much later the third was sent, s; zero where there is none.
+    gap: f64,
+    /// For each second after the second one, by how much the third's weight grows on the chord.
+    per_gap: f64,
+    /// What the bend adds to the weights of the first, third and fourth, for each square second.
+    bend: [f64; 3],
+}
+
+impl<T> Select<'_, T> {
+    /// How much later a message was sent than one before it, s; zero where that one never was.
+    fn between(&self, before: usize, after: usize) -> f64 {
+        match self.seqs[before] < 0 {
+            true => 0.0,
+            false => to_seconds(self.sent[after].saturating_sub(self.sent[before])),
+        }
+    }
+
+    /// The row in which a place in the window lies when a given candidate is the newest that is there.
+    fn row(&self, newest: usize, index: usize) -> Row {
+        let held = newest + 1 - self.window + index;
+        let end = self.seqs.len() - 1;
+        // Beyond the newest of all the parabola through the newest three goes on; what was never sent holds.
+        let middle = held.min(end - 1);
+        let middle = if self.between(middle, middle + 1) > 0.0 { middle } else { held };
+        let (first, last) = (middle.saturating_sub(1), (middle + 1).min(end));
+        let next = (last + 1).min(end);
+        let (before, gap, after) =
+            (self.between(first, middle), self.between(middle, last), self.between(last, next));
+        // Second divided differences of the one parabola and the other.
+        let mut bend = [0.0; 3];
+        let (back, front) = (gap > 0.0 && before > 0.0, gap > 0.0 && after > 0.0);
+        let share = if back && front { 0.5 } else { 1.0 };
+        if back {
+            bend[0] += share / (before * (before + gap));
+            bend[1] += share / (gap * (before + gap));
+        }
+        if front {
+            bend[1] -= share / (gap * after);
+            bend[2] += share / (after * (gap + after));
+        }
+        Row {
+            four: [first, middle, last, next],
+            sent: to_seconds(self.sent[middle].saturating_sub(self.start)) + self.between(held, newest),
+            gap,
+            per_gap: if gap > 0.0 { 1.0 / gap } else { 0.0 },
+            bend,
+        }
+    }
+}
+
+impl<T: InMemory> Select<'_, T> {
+    /// The weights of a row's messages at `until`, s after the start.
+    #[inline(always)]
+    fn weights<S: Simd>(row: &Row, until: T::On<S>) -> [T::On<S>; 4] {
+        let along = until - row.sent;
+        let bend = along * (along - row.gap);
+        let (first, next) = (bend * row.bend[0], bend * row.bend[2]);
+        let last = along * row.per_gap + bend * row.bend[1];
+        [first, T::On::<S>::constant(1.0) - first - last - next, last, next]
+    }
+
+    /// What is seen of a payload that is smooth, at a place in the window.
+    #[inline(always)]
+    fn smooth<S: Simd>(&mut self, index: usize, (min, max): (f64, f64)) {
+        let (zero, one) = (T::On::<S>::constant(0.0), T::On::<S>::constant(1.0));
+        let (count, window) = (self.seqs.len(), self.window);
+        // The candidates reach one message further back than the longest delay: one is always there.
+        let few = count <= KEPT;
+        let mut rows = [self.row(window, index); KEPT];
+        for (newest, row) in (window..count).zip(&mut rows).skip(1) {
+            *row = self.row(newest, index);
+        }
+        for block in 0..self.alphas.len() {
+            let alpha = one.min(zero.max(T::load::<S>(&self.alphas[block])));
+            let until = zero - (alpha * (max - min) + min);
+            let mut weights = [zero; KEPT];
+            let place = |candidate: usize| candidate.min(KEPT - 1);
+            if few {
+                for (newest, row) in (window..count).zip(&rows) {
+                    let own = Self::weights::<S>(row, until);
+                    let there = self.there::<S>(newest, until);
+                    // Candidates are in the order in which they were sent: the one before is left behind.
+                    if let Some(before) = row.four[0].checked_sub(1) {
+                        let before = &mut weights[place(before)];
+                        *before = T::On::<S>::select(there, zero, *before);
+                    }
+                    // One that stands for two has the weight of that which is nearer to the second.
+                    for of in [3, 2, 0, 1] {
+                        let weight = &mut weights[place(row.four[of])];
+                        *weight = match newest == window {
+                            true => own[of],
+                            false => T::On::<S>::select(there, own[of], *weight),
+                        };
+                    }
+                }
+            }
+            for leaf in 0..self.history.leaves() {
+                let mut value = zero;
+                if few {
+                    for (candidate, weight) in weights[..count.min(KEPT)].iter().enumerate() {
+                        value += *weight * self.leaf::<S>(block, candidate, leaf);
+                    }
+                } else {
+                    for newest in window..count {
+                        let row = self.row(newest, index);
+                        let mut sum = zero;
+                        for (candidate, weight) in row.four.into_iter().zip(Self::weights::<S>(&row, until)) {
+                            sum += weight * self.leaf::<S>(block, candidate, leaf);
+                        }
+                        value = match newest == window {
+                            true => sum,
+                            false => T::On::<S>::select(self.there::<S>(newest, until), sum, value),
+                        };
+                    }
+                }
+                T::registers_mut::<S>(self.seen.message_mut(block, index))[leaf] = value;
+            }
+        }
+    }
+}
+
 impl<T: InMemory> Kernel for Select<'_, T> {
     type Output = ();
 
     #[inline(always)]
-    fn run<S: Simd>(self) {
+    fn run<S: Simd>(mut self) {
         let (min, max) = (to_seconds(self.delay.min), to_seconds(self.delay.max));
         let (zero, one) = (T::On::<S>::constant(0.0), T::On::<S>::constant(1.0));
         let (last, window) = (self.seqs.len() - 1, self.window);
+        if self.delay.interpolation == Interpolation::Smooth {
+            (0..window).for_each(|index| self.smooth::<S>(index, (min, max)));
+        }
         let linear = self.delay.interpolation == Interpolation::Linear;
+        let smooth = self.delay.interpolation == Interpolation::Smooth;
         for block in 0..self.alphas.len() {
             // At a bound it is the number itself that is kept, with its derivative.
             let alpha = one.min(zero.max(T::load::<S>(&self.alphas[block])));
@@ -152,6 +286,9 @@ impl<T: InMemory> Kernel for Select<'_, T> {
                 let received = T::On::<S>::select(seq.lt(zero), zero, sent + seconds);
                 T::store::<S>(&mut stamps[2], received);
 
+                if smooth {
+                    continue;
+                }
                 // How far the payload lies on the way to the next message.
                 let mut share = zero;
                 if linear {

@@ -11,8 +11,10 @@ pub(super) struct Reach {
     pub(super) max: Nanos,
     /// Whether a message that arrives exactly at the start is left for the next step.
     pub(super) skip: bool,
-    /// Whether the message after the newest that is there belongs to the candidates too, where it is sent by then.
-    pub(super) neighbour: bool,
+    /// How many messages after the newest that is there belong to the candidates too, where they are sent by then.
+    pub(super) behind: usize,
+    /// How many messages before the window of the longest delay belong to them.
+    pub(super) before: usize,
 }
 
 impl Reach {
@@ -28,11 +30,13 @@ impl Reach {
     fn range(&self, origins: &[Nanos], window: usize, start: Nanos) -> (i64, i64) {
         let there = |delay| origins.partition_point(|&origin| self.is_there(origin, delay, start)) as i64;
         let mut last = there(self.min);
-        if self.neighbour && origins.get(last as usize).is_some_and(|&origin| self.is_there(origin, 0, start))
-        {
-            last += 1;
+        for _ in 0..self.behind {
+            let sent = |&origin: &Nanos| self.is_there(origin, 0, start);
+            last += i64::from(origins.get(last as usize).is_some_and(sent));
         }
-        (there(self.max) - window as i64, last)
+        // What extrapolates needs as many where the window is at the end.
+        let before = self.before as i64;
+        (there(self.max).min(last - before) - window as i64 - before, last)
     }
 
     /// The most candidates that any step needs.
@@ -41,7 +45,7 @@ impl Reach {
             let (first, last) = self.range(origins, window, start);
             (last - first) as usize
         });
-        needed.max().unwrap_or(window).max(window)
+        needed.max().unwrap_or(window).max(window + 2 * self.before)
     }
 
     /// The candidates of steps that start at `starts`, `[step][candidate]`, −1 for an initial message. A row that needs

@@ -45,7 +45,7 @@ impl OutputDelay {
     pub(super) fn reach(&self) -> Reach {
         let (min, max) = self.computation.bounds();
         let arrival = |computation: Nanos| computation.saturating_add(self.travel);
-        Reach { min: arrival(min), max: arrival(max), skip: self.skip, neighbour: false }
+        Reach { min: arrival(min), max: arrival(max), skip: self.skip, behind: 0, before: 0 }
     }
 
     /// When a message was sent, ns: the sender's step started at `start`, and its output's leaf is `leaf`.

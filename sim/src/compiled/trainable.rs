@@ -12,6 +12,11 @@ pub enum Interpolation {
     Hold,
     /// The payload at `start − delay` lies on a line between the two messages around it; it holds at the ends.
     Linear,
+    /// The payload at `start − delay` lies between the two messages around it, bent as the two parabolas through them and one
+    /// before or behind them are in the mean; where the newest is older, it goes on along the parabola through the three
+    /// newest. For what is smooth between its messages, such as the ticks of a simulator: bends are seen, neither too early
+    /// nor too late, and a delay shorter than a tick is felt.
+    Smooth,
 }
 
 /// A delay `min + alpha (max − min)` whose `alpha`, from 0 to 1, is given at run time (van der Heijden et al., "REX",
@@ -45,8 +50,12 @@ pub struct TrainableConnection {
 
 impl TrainableDelay {
     pub(super) fn reach(&self) -> Reach {
-        // The neighbour on the other side of `start − delay`.
-        let neighbour = self.interpolation == Interpolation::Linear;
-        Reach { min: self.min, max: self.max, skip: self.skip, neighbour }
+        // The neighbours on the other side of `start − delay`, and one on this side.
+        let (behind, before) = match self.interpolation {
+            Interpolation::Hold => (0, 0),
+            Interpolation::Linear => (1, 0),
+            Interpolation::Smooth => (2, 1),
+        };
+        Reach { min: self.min, max: self.max, skip: self.skip, behind, before }
     }
 }

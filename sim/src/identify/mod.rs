@@ -82,12 +82,27 @@ enum Search {
 }
 
 impl Search {
-    fn new(method: &Method, start: &[f64], floor: Option<f64>, pieces: usize) -> Result<Self, IdentifyError> {
+    fn new(method: &Method, problem: &Problem, pieces: usize) -> Result<Self, IdentifyError> {
+        let start = &problem.start();
         let bounds = Bounds::unit(start.len());
         Ok(match method {
             Method::Hybrid(options) => {
-                let (target, pieces) = (options.target.or(floor), options.pieces.or(Some(pieces)));
-                let options = HybridOptions { target, pieces, ..options.clone() };
+                let target = options.target.or(problem.noise_floor());
+                // What delays that scatter leave is not known: two rounds say more.
+                let alike = options.alike.or((!problem.scattered.is_empty()).then_some(2));
+                // By a delay a message comes in time for a step, or not: there the loss jumps.
+                let delays = problem.coordinates.iter().enumerate().filter(|(_, c)| c.sort == Sort::Delay);
+                let swept = match options.swept.is_empty() {
+                    true => delays.map(|(index, _)| index).collect(),
+                    false => options.swept.clone(),
+                };
+                let options = HybridOptions {
+                    target,
+                    alike,
+                    swept,
+                    pieces: options.pieces.or(Some(pieces)),
+                    ..options.clone()
+                };
                 Search::Hybrid(Box::new(Hybrid::new(bounds, start, options)?))
             }
             Method::CmaEs(options) => Search::CmaEs(Box::new(CmaEs::new(bounds, start, options.clone())?)),
@@ -158,7 +173,7 @@ pub fn search(
             return Err(IdentifyError::Checkpoint { problem });
         }
         None => {
-            let search = Search::new(method, &problem.start(), problem.noise_floor(), evaluator.pieces())?;
+            let search = Search::new(method, problem, evaluator.pieces())?;
             Checkpoint { problem: name, search, rollouts: 0 }
         }
     };

@@ -95,7 +95,11 @@ pub(super) fn augmentation<'a>(
             return Err(IdentifyError::Value { whose, problem });
         }
         let simulator = added.contains(&delay.to);
-        let suited = if simulator { Interpolation::Hold } else { Interpolation::Linear };
+        let suited = match (simulator, added.contains(&delay.from)) {
+            (true, _) => Interpolation::Hold,
+            (false, true) => Interpolation::Smooth,
+            (false, false) => Interpolation::Linear,
+        };
         let interpolation = delay.interpolation.unwrap_or(suited);
         let whole = simulator && interpolation == Interpolation::Hold;
         let window = delay.window.unwrap_or(if whole { edge.window.max(3) } else { edge.window });
@@ -115,7 +119,7 @@ fn known<'a>(augmentation: Augmentation<'a>, edge: &ConnectionSpec, added: &[Str
     let window = if simulator { edge.window.max(3) } else { edge.window };
     let edge = ConnectionSpec { blocking: false, skip: edge.skip || simulator, window, ..edge.clone() };
     let delay = match added.contains(&edge.from) {
-        true => EdgeDelay::Trainable { min: seconds, max: seconds, interpolation: Interpolation::Linear },
+        true => EdgeDelay::Trainable { min: seconds, max: seconds, interpolation: Interpolation::Smooth },
         false => EdgeDelay::Given(Delay::constant(seconds)),
     };
     augmentation.connect(edge, delay)

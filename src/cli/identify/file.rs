@@ -101,6 +101,7 @@ struct Hidden {
 enum Between {
     Hold,
     Linear,
+    Smooth,
 }
 
 #[derive(Deserialize)]
@@ -194,6 +195,7 @@ impl File {
             let interpolation = interpolation.map(|between| match between {
                 Between::Hold => Interpolation::Hold,
                 Between::Linear => Interpolation::Linear,
+                Between::Smooth => Interpolation::Smooth,
             });
             check(
                 at,

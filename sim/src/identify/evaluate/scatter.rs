@@ -13,7 +13,7 @@
 //! constant delay would call noise is thus told apart from it: by when it is there.
 
 use nalgebra::{DMatrix, DVector};
-use parallax_model::fit::separable::eliminate;
+use parallax_model::fit::separable::{eliminate, pseudo_inverse};
 use parallax_model::fit::{Best, Bounds, Local, View, bounded_step};
 
 use super::model::PARTS;
@@ -22,8 +22,11 @@ use super::traces::Trace;
 use super::{Evaluator, wrapped};
 use crate::batch::BatchError;
 
-/// How far the delay is moved for the second derivative, s.
-const MOVED: f64 = 5e-4;
+/// How far the delay is moved at least for its derivatives, s: less would show how a simulation goes from tick to tick.
+const MOVED: f64 = 2e-3;
+/// How far it is moved, in units of its spread: the outer nodes of Gauss and Hermite's quadrature with three, under which
+/// a normal distribution's moments are right up to the fifth.
+const NODES: f64 = 1.732_050_807_568_877_2;
 /// Most steps.
 const STEPS: usize = 30;
 /// It has converged when a step promises less of −2 log likelihood, …
@@ -71,9 +74,17 @@ struct Seen {
     /// What each part of the recordings' time adds to it, priors apart.
     parts: Vec<Local>,
     coefficients: Vec<Vec<f64>>,
-    /// Scores and information of the variances: delays, then outputs.
-    score: Vec<f64>,
+    /// Scores of the variances, delays, then outputs, part by part; and their information.
+    scores: Vec<DVector<f64>>,
     information: DMatrix<f64>,
+}
+
+/// What predictions do where a delay that scatters is another one, `[episode][output]`: lists of terms, as in a trace.
+struct Moved {
+    /// By a second of the delay.
+    slopes: Vec<Vec<Vec<f64>>>,
+    /// By its square.
+    bends: Vec<Vec<Vec<f64>>>,
 }
 
 /// One message's outputs: which, and where in their lists.
@@ -167,46 +178,46 @@ impl Evaluator<'_> {
     ) -> Result<Seen, BatchError> {
         let problem = self.problem;
         let stretches = self.stretches(View::whole(1.0));
-        // The point itself, and for each delay three points in a row for the curvature.
+        // The point itself, and for each delay three points in a row.
         let mut points = vec![point.to_vec()];
-        let mut moves = Vec::new();
-        for &delay in &problem.scattered {
+        let mut steps = Vec::new();
+        for (&delay, variance) in problem.scattered.iter().zip(&variances.delays) {
             let coordinate = &problem.coordinates[delay];
-            let h = MOVED / (coordinate.high - coordinate.low);
-            let middle = point[delay].clamp(h.min(0.5), 1.0 - h.min(0.5));
+            let width = coordinate.high - coordinate.low;
+            let h = ((NODES * variance.sqrt()).max(MOVED) / width).min(0.5);
+            let middle = point[delay].clamp(h, 1.0 - h);
             for by in [-h, 0.0, h] {
                 let mut moved = point.to_vec();
                 moved[delay] = middle + by;
                 points.push(moved);
             }
-            moves.push(h);
+            steps.push(h * width);
         }
         let mut traces = self.traces(&points, &stretches)?;
         let others = traces.split_off(1);
         let mut traces = traces.pop().unwrap_or_default();
+        let moved: Vec<Moved> =
+            steps.iter().zip(others.chunks(3)).map(|(h, three)| moved(three, *h)).collect();
         // E y: half the variance times the second derivative is added to every term.
-        for (j, h) in moves.iter().enumerate() {
-            let coordinate = &problem.coordinates[problem.scattered[j]];
-            // The variance of the coordinate, whose unit is the width of its bounds.
-            let variance = variances.delays[j] / (coordinate.high - coordinate.low).powi(2);
-            for (episode, trace) in traces.iter_mut().enumerate() {
-                let [low, middle, high] = [0, 1, 2].map(|k| &others[3 * j + k][episode].outputs);
-                for (index, output) in trace.outputs.iter_mut().enumerate() {
-                    for (at, value) in output.values.iter_mut().enumerate() {
-                        let [a, b, c] = [low, middle, high].map(|outputs| outputs[index].values[at]);
-                        *value += 0.5 * variance * (a - 2.0 * b + c) / (h * h);
-                    }
+        for (moved, variance) in moved.iter().zip(&variances.delays) {
+            for (trace, bends) in traces.iter_mut().zip(&moved.bends) {
+                for (output, bends) in trace.outputs.iter_mut().zip(bends) {
+                    output
+                        .values
+                        .iter_mut()
+                        .zip(bends)
+                        .for_each(|(value, bend)| *value += 0.5 * variance * bend);
                 }
             }
         }
         // The covariance depends on the coefficients, and they on it: twice is enough.
-        let first = self.whitened(&traces, &stretches, point, variances, coefficients);
+        let first = self.whitened((&traces, &moved), &stretches, point, variances, coefficients);
         let step = first.linear_step(point.len());
         let mut coefficients = coefficients.to_vec();
         for (coefficient, by) in coefficients.iter_mut().flatten().zip(step) {
             *coefficient += by;
         }
-        Ok(self.whitened(&traces, &stretches, point, variances, &coefficients))
+        Ok(self.whitened((&traces, &moved), &stretches, point, variances, &coefficients))
     }
 
     /// The messages that are compared, each with all its outputs.
@@ -222,7 +233,7 @@ impl Evaluator<'_> {
 
     fn whitened(
         &self,
-        traces: &[Trace<'_>],
+        (traces, moved): (&[Trace<'_>], &[Moved]),
         stretches: &Stretches,
         point: &[f64],
         variances: &Variances,
@@ -235,7 +246,7 @@ impl Evaluator<'_> {
         let (delays, outputs) = (problem.scattered.len(), problem.outputs.len());
         let of_episode = PARTS.div_ceil(problem.episodes);
         let mut parts = vec![Local::zero(all); of_episode * problem.episodes];
-        let mut score = vec![0.0; delays + outputs];
+        let mut scores = vec![DVector::<f64>::zeros(delays + outputs); of_episode * problem.episodes];
         let mut information = DMatrix::zeros(delays + outputs, delays + outputs);
         // Where an output's coefficients begin.
         let mut columns = Vec::with_capacity(outputs);
@@ -266,9 +277,11 @@ impl Evaluator<'_> {
             let size = present.len();
             let steps = &stretches.all[episode].steps[own[0]];
             let part = (step - steps.start) * of_episode / steps.len();
-            let local = &mut parts[episode * of_episode + part];
+            let part = episode * of_episode + part;
+            let (local, score) = (&mut parts[part], &mut scores[part]);
             let mut rows = DMatrix::<f64>::zeros(size, all + 1);
-            let mut towards = DMatrix::<f64>::zeros(size, delays);
+            let (mut towards, mut bends) =
+                (DMatrix::<f64>::zeros(size, delays), DMatrix::<f64>::zeros(size, delays));
             for (k, &index) in present.iter().enumerate() {
                 let (output, predicted) = (&problem.outputs[index], &traces[episode].outputs[index]);
                 let at = step - stretches.all[episode].steps[index].start;
@@ -286,17 +299,26 @@ impl Evaluator<'_> {
                     rows[(k, columns[index] + i)] = *term;
                 }
                 rows[(k, all)] = wrapped(recorded(index) - prediction, output.wrap);
-                for (j, &delay) in problem.scattered.iter().enumerate() {
-                    let coordinate = &problem.coordinates[delay];
-                    towards[(k, j)] = slopes[delay] / (coordinate.high - coordinate.low);
+                let of = |terms: &[f64]| match own.as_slice() {
+                    [] => terms[at],
+                    own => terms[at * own.len()..].iter().zip(own).map(|(term, c)| term * c).sum(),
+                };
+                for (j, moved) in moved.iter().enumerate() {
+                    towards[(k, j)] = of(&moved.slopes[episode][index]);
+                    bends[(k, j)] = of(&moved.bends[episode][index]);
                 }
             }
+            // What a delay's variance v adds is v g gᵀ + ½ v² b bᵀ, with slopes g and second derivatives b.
+            let of_delay = |j: usize, slope: f64, bend: f64| {
+                let (g, b) = (towards.column(j), bends.column(j));
+                g * g.transpose() * slope + b * b.transpose() * bend
+            };
             let mut covariance = DMatrix::from_diagonal(&DVector::from_iterator(
                 size,
                 present.iter().map(|&index| variances.noise[index]),
             ));
             for (j, variance) in variances.delays.iter().enumerate() {
-                covariance += towards.column(j) * towards.column(j).transpose() * *variance;
+                covariance += of_delay(j, *variance, 0.5 * variance * variance);
             }
             let Some(factor) = covariance.cholesky() else {
                 local.cost = f64::NAN;
@@ -320,19 +342,23 @@ impl Evaluator<'_> {
                     }
                 }
             }
-            // d V by a delay's variance is g gᵀ, by a noise's a one on the diagonal.
-            let through = &inverse * &towards;
+            // V⁻¹ times d V by each delay's variance; by a noise's, d V is a one on the diagonal.
+            let through: Vec<DMatrix<f64>> = variances
+                .delays
+                .iter()
+                .enumerate()
+                .map(|(j, variance)| &inverse * of_delay(j, 1.0, *variance))
+                .collect();
             let place = |k: usize| delays + present[k];
-            for j in 0..delays {
-                let along = towards.column(j).dot(&weighted);
-                score[j] += along * along - towards.column(j).dot(&through.column(j));
-                for l in 0..delays {
-                    information[(j, l)] += towards.column(j).dot(&through.column(l)).powi(2);
+            for (j, own) in through.iter().enumerate() {
+                score[j] += (own * &weighted).dot(&residual) - own.trace();
+                for (l, other) in through.iter().enumerate() {
+                    information[(j, l)] += (own * other).trace();
                 }
+                let twice = own * &inverse;
                 for k in 0..size {
-                    let cross = through[(k, j)].powi(2);
-                    information[(j, place(k))] += cross;
-                    information[(place(k), j)] += cross;
+                    information[(j, place(k))] += twice[(k, k)];
+                    information[(place(k), j)] += twice[(k, k)];
                 }
             }
             for k in 0..size {
@@ -364,24 +390,57 @@ impl Evaluator<'_> {
         // What is declared is not estimated.
         for (k, _) in declared.iter().enumerate().filter(|(_, declared)| **declared) {
             let k = delays + k;
-            score[k] = 0.0;
+            scores.iter_mut().for_each(|score| score[k] = 0.0);
             information.row_mut(k).fill(0.0);
             information.column_mut(k).fill(0.0);
             information[(k, k)] = 1.0;
         }
-        Seen { local, parts, coefficients: coefficients.to_vec(), score, information }
+        Seen { local, parts, coefficients: coefficients.to_vec(), scores, information }
+    }
+}
+
+/// Slopes and second derivatives of predictions by a delay, from those with one that is by `h` s shorter, the same, and
+/// longer.
+fn moved(three: &[Vec<Trace<'_>>], h: f64) -> Moved {
+    let each = |of: &dyn Fn(f64, f64, f64) -> f64| {
+        let episodes = three[1].iter().enumerate().map(|(episode, middle)| {
+            let outputs = middle.outputs.iter().enumerate().map(|(index, middle)| {
+                let [low, high] = [0, 2].map(|k| &three[k][episode].outputs[index].values);
+                low.iter().zip(&middle.values).zip(high).map(|((a, b), c)| of(*a, *b, *c)).collect()
+            });
+            outputs.collect()
+        });
+        episodes.collect()
+    };
+    Moved {
+        slopes: each(&|low, _, high| (high - low) / (2.0 * h)),
+        bends: each(&|low, middle, high| (low - 2.0 * middle + high) / (h * h)),
     }
 }
 
 impl Seen {
-    /// The covariance of the variances: the information is half of what is summed up.
+    /// The covariance of the variances: the information is half of what is summed up. Where the parts' scores scatter by more
+    /// than that says, as where delays are not normal, that counts (H. White, Econometrica 50, 1982).
     fn covariance(&self) -> DMatrix<f64> {
-        2.0 * parallax_model::fit::separable::pseudo_inverse(&self.information)
+        let inverse = pseudo_inverse(&self.information);
+        let count = self.scores.len() as f64;
+        let mean = self.scores.iter().sum::<DVector<f64>>() / count;
+        let mut scatter = DMatrix::zeros(mean.len(), mean.len());
+        for score in &self.scores {
+            scatter += (score - &mean) * (score - &mean).transpose();
+        }
+        scatter *= count / (count - 1.0).max(1.0);
+        let robust = &inverse * scatter * &inverse;
+        let mut covariance = 2.0 * inverse;
+        for i in 0..mean.len() {
+            covariance[(i, i)] = covariance[(i, i)].max(robust[(i, i)]);
+        }
+        covariance
     }
 
     /// The next variances, none less than a fifth or more than five times of what it was.
     fn variances(&self, now: &Variances, declared: impl Iterator<Item = bool>) -> Variances {
-        let step = 0.5 * self.covariance() * DVector::from_row_slice(&self.score);
+        let step = pseudo_inverse(&self.information) * self.scores.iter().sum::<DVector<f64>>();
         let within = |value: f64, by: f64| (value + by).clamp(0.2 * value, 5.0 * value);
         let delays = now.delays.iter().zip(step.iter()).map(|(value, by)| within(*value, *by));
         let noise = now.noise.iter().zip(step.iter().skip(now.delays.len())).zip(declared);
@@ -394,7 +453,7 @@ impl Seen {
         let all = self.local.gradient.len();
         let inner = DMatrix::from_fn(all - n, all - n, |i, j| self.local.information[(n + i) * all + n + j]);
         let gradient = DVector::from_iterator(all - n, self.local.gradient[n..].iter().copied());
-        let step = parallax_model::fit::separable::pseudo_inverse(&inner) * gradient;
+        let step = pseudo_inverse(&inner) * gradient;
         step.iter().map(|by| -by).collect()
     }
 }

@@ -83,7 +83,7 @@ pub(super) fn settles(problem: &Problem, carriers: &[usize]) -> Option<f64> {
         });
         let delay = hidden.map(longest).fold(edge.delay.expected(), f64::max);
         let period = 1.0 / graph.spec().nodes[connection.from].rate;
-        total = f64::max(total, delay + (connection.window as f64 + 1.0) * period);
+        total = f64::max(total, delay + (connection.window as f64 + 2.0) * period);
     }
     Some(total)
 }
