@@ -194,7 +194,10 @@ mod tests {
         assert!(are_all(&odd, &off_by(1.0), 25.0));
         assert!(!are_all(&odd, &off_by(1.0), 500.0), "what weighs much is an effect");
         assert!(!are_all(&odd, &off_by(2.0), 25.0), "a mean is left to be explained");
-        assert!(!are_all(&[shown("noise", "output:q", -4000.0)], &off_by(1.0), 25.0), "noise is what is assumed");
+        assert!(
+            !are_all(&[shown("noise", "output:q", -4000.0)], &off_by(1.0), 25.0),
+            "noise is what is assumed"
+        );
         assert!(!are_all(&[shown("stuck", "output:q", -5.0)], &off_by(1.0), 0.0), "it is not there");
     }
 

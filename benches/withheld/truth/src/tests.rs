@@ -270,7 +270,8 @@ fn a_cause_that_never_acts_is_drawn_again() {
 
 #[test]
 fn no_supply_gives_less_to_who_asks_for_more() {
-    let (system, sag) = (ALL.iter().position(|system| system.name == "linear-axis").unwrap(), Kind::SupplySag);
+    let (system, sag) =
+        (ALL.iter().position(|system| system.name == "linear-axis").unwrap(), Kind::SupplySag);
     let index = table(ALL[system]).iter().position(|(kind, _)| *kind == sag).unwrap();
     let plan = Plan { set: Set::Single, system, effect: index };
     for seed in 0..4 {
