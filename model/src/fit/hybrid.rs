@@ -9,7 +9,13 @@
 //! anywhere but at its beginning, the data grow until they are all there. Where the loss aimed at is not reached,
 //! everything starts again with another seed.
 
+mod options;
+mod points;
+
 use serde::{Deserialize, Serialize};
+
+pub use options::HybridOptions;
+use points::{apart, distinct, ends};
 
 use super::normal::{even, stream};
 use super::sweep::along;
@@ -17,76 +23,6 @@ use super::{
     Ask, Best, Bounds, CmaEs, CmaOptions, FitError, LevenbergMarquardt, MarquardtOptions, Solver, Stop, Tell,
     View, ranked,
 };
-
-/// Settings of [`Hybrid`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct HybridOptions {
-    /// Points drawn evenly from the box before the evolution, which begins at the best of them. As leaders and shooters, in
-    /// the second round twice as many, in the third three times, and so on.
-    pub scouts: usize,
-    /// Points in a generation of the evolution; absent: 8 for each parameter, at least 64.
-    pub population: Option<usize>,
-    /// Generations of the evolution.
-    pub generations: usize,
-    /// First step size of the evolution, in widths of the box.
-    pub sigma: f64,
-    /// The shares of the data that count, one after the other; scouts and evolution see the first. Where the loss aimed at is
-    /// known, shares between them are taken as well where a step is too large.
-    pub shares: Vec<f64>,
-    /// From this share of the data on, all of them count in pieces.
-    pub enough: f64,
-    /// Into how many pieces all of the data are cut; 1: not at all. Absent: whoever evaluates says, who knows the machine.
-    pub pieces: Option<usize>,
-    /// How tightly the pieces are held together, one after the other: inverse standard deviations in units of the states'
-    /// own spread.
-    pub tightness: Vec<f64>,
-    /// How many of the refined leaders go on to all of the data in pieces.
-    pub shooters: usize,
-    /// How many of the evolution's leaders, and twice as many of the scouts, Gauss–Newton refines at first; on the second
-    /// share as many as leaders, on each further one half as many, and at least two.
-    pub leaders: usize,
-    /// Most Gauss–Newton steps on each share.
-    pub iterations: usize,
-    /// A gain in the loss that is not worth a step.
-    pub gain: f64,
-    /// How often everything starts again where the target is not reached.
-    pub restarts: usize,
-    /// The loss aimed at, over all of the data. Absent: it starts again until two rounds end at the same loss.
-    pub target: Option<f64>,
-    /// How many rounds have to end at the same loss before it ends; absent: one where a loss is aimed at, else two.
-    pub alike: Option<usize>,
-    /// Parameters, by their places, from one end of the box to the other of which it looks again where it would end: on the way
-    /// the others follow as its model says. For those in which the loss jumps, such as a delay by which a message comes in
-    /// time or not.
-    pub swept: Vec<usize>,
-    /// Seed of all it draws.
-    pub seed: u64,
-}
-
-impl Default for HybridOptions {
-    fn default() -> Self {
-        Self {
-            scouts: 1024,
-            population: None,
-            generations: 12,
-            sigma: 0.2,
-            shares: vec![0.05, 0.1, 0.2, 0.4, 0.7, 1.0],
-            enough: 0.4,
-            pieces: None,
-            tightness: vec![100.0, 1e3, 1e4],
-            shooters: 1,
-            leaders: 4,
-            iterations: 20,
-            gain: 2e-2,
-            restarts: 8,
-            target: None,
-            alike: None,
-            swept: Vec::new(),
-            seed: 1,
-        }
-    }
-}
 
 /// No round tries more than so many times what the first one does.
 const MOST_EFFORT: usize = 4;
@@ -441,54 +377,6 @@ impl Hybrid {
     fn alike(&self) -> usize {
         self.options.alike.unwrap_or(if self.options.target.is_some() { 1 } else { 2 })
     }
-}
-
-/// Where a search has ended, best first.
-fn ends(search: &LevenbergMarquardt) -> Vec<Best> {
-    let mut ends: Vec<Best> = Vec::new();
-    for (point, loss) in search.ends() {
-        if let Some(loss) = loss.filter(|loss| loss.is_finite()) {
-            ends.push(Best { point: point.to_vec(), loss });
-        }
-    }
-    ends.sort_by(|a, b| a.loss.total_cmp(&b.loss));
-    ends
-}
-
-/// The points whose losses are not far above the least and differ from each other: where the data are all seen, one loss is
-/// one minimum.
-fn distinct(ends: &[Best]) -> Vec<Vec<f64>> {
-    let mut kept: Vec<&Best> = Vec::new();
-    for end in ends {
-        let least = kept.first().map_or(end.loss, |best| best.loss);
-        let near = kept.iter().any(|other| (other.loss - end.loss).abs() < 0.5);
-        if !near && end.loss <= least + 2.0 * least.abs() + 10.0 {
-            kept.push(end);
-        }
-    }
-    kept.into_iter().map(|end| end.point.clone()).collect()
-}
-
-/// The first `count` points, best first, that lie apart from each other.
-fn apart(points: &[Best], count: usize, bounds: &Bounds) -> Vec<Vec<f64>> {
-    let mut found: Vec<Vec<f64>> = Vec::new();
-    let mut losses: Vec<f64> = Vec::new();
-    for Best { point, loss } in points {
-        let near = |other: &Vec<f64>| {
-            let square = point.iter().zip(other).enumerate().map(|(i, (a, b))| {
-                let width = bounds.scale(i, *a);
-                ((a - b) / width).powi(2)
-            });
-            square.sum::<f64>().sqrt() < 1e-3
-        };
-        // Where not everything is determined, one minimum has many points.
-        let same = |other: &f64| (loss - other).abs() <= 1e-3 + 1e-7 * loss.abs();
-        if found.len() < count && !found.iter().any(near) && !losses.iter().any(same) {
-            found.push(point.clone());
-            losses.push(*loss);
-        }
-    }
-    found
 }
 
 impl Solver for Hybrid {
