@@ -92,6 +92,22 @@ fn a_lattice_of_values_is_found() {
 }
 
 #[test]
+fn a_coarse_lattice_tells_most_of_what_its_readings_are() {
+    // So coarse that neighbours predict a reading hardly better than to its cell.
+    let step = std::f64::consts::TAU / 128.0;
+    let experiment = changed(2, |_, samples| {
+        for sample in samples {
+            sample.value = (sample.value / step).round() * step;
+        }
+    });
+    for declared in [false, true] {
+        let effects = examine(&equations(declared), &experiment);
+        let lattice = effects.iter().find(|e| e.name == "quantization").unwrap();
+        assert!(lattice.significant && lattice.share.is_some_and(|share| share > 0.8), "{lattice:#?}");
+    }
+}
+
+#[test]
 fn outliers_are_found_and_left_out() {
     let mut spoiled = Vec::new();
     let experiment = changed(3, |random, samples| {

@@ -295,16 +295,22 @@ fn free(noise: &Noise) -> f64 {
 /// Relative accuracy of a step that is believed at best.
 const DIGITS: f64 = 1e-6;
 
+/// Errors of a prediction by the neighbours that are tried for readings on a lattice, in sizes of the residuals.
+const PREDICTED: [f64; 7] = [0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5];
+
 /// A lattice of values. Readings are predicted to fall on it: the score knows of a prediction only the cell.
 fn quantization(noise: &Noise, lattice: Lattice, place: &str, unit: &str) -> ReadingEffect {
     let step = lattice.step;
     let coarse = step > COARSE * noise.unit;
-    // An interpolated prediction has an error of its own, about that of a reading.
-    let smooth = (noise.found.powi(2) - step * step / 12.0).max(0.01 * noise.found.powi(2)).sqrt();
-    let cell = |r: f64| {
-        let probability = normal_cdf((r + 0.5 * step) / smooth) - normal_cdf((r - 0.5 * step) / smooth);
+    let cell = |error: f64, r: f64| {
+        let probability = normal_cdf((r + 0.5 * step) / error) - normal_cdf((r - 0.5 * step) / error);
         probability.max(1e-300).ln() - noise.unit.ln()
     };
+    // How well the neighbours, which lie on the lattice as well, predict a reading is learnt.
+    let learnt = |error: &f64| noise.residuals[..noise.learnt].iter().map(|r| cell(*error, *r)).sum::<f64>();
+    let errors = PREDICTED.map(|share| share * noise.found);
+    let error = errors.into_iter().max_by(|a, b| learnt(a).total_cmp(&learnt(b))).unwrap_or(noise.found);
+    let cell = |r: f64| cell(error, r);
     let without = noise.score(|r| log_normal(r, noise.unit));
     let with = noise.score(cell).max(noise.score(|r| log_normal(r, noise.found)));
     let density = LogDensity { without, with, best: with.max(free(noise)) };
