@@ -290,7 +290,11 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
         let (effect, place) = (Effect::from_name(&r.name), r.place.parse());
         effect.zip(place.ok()).is_some_and(|(effect, place)| options.allows(&EffectAt { effect, place }))
     };
-    readings.retain(|r| allowed(r) && !stated(r));
+    let possible = |mut all: Vec<ReadingEffect>| {
+        all.retain(|r| allowed(r) && !stated(r));
+        all
+    };
+    readings = possible(readings);
     let predicted = |setup: &Setup, fit: &Fit| {
         let simulator = library::simulator(setup, &fit.hypothesis, fit.residuals.clone());
         quantify::predict(setup, &simulator, fit.estimate(), &fit.innovation.noise)
@@ -317,15 +321,14 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     if let Some(with) = &with_best
         && acted.is_none()
         && quantify::closed(&refitted, with, options.seed).high < CLOSES_NOTHING
-        && causes::are_times(&readings::scatter(setup, &null), gain(&answers))
+        && causes::are_times(&possible(readings::scatter(setup, &null)), gain(&answers))
     {
         answers.name_none(&null);
         (detected, with_best) = (false, None);
     }
     let named = answers.names();
     let best = &answers.leader(&null).clone();
-    readings.extend(readings::scatter(setup, if detected && named { best } else { &null }));
-    readings.retain(|r| allowed(r) && !stated(r));
+    readings.extend(possible(readings::scatter(setup, if detected && named { best } else { &null })));
 
     let explanations = explain::explain(
         &explain::Evidence {
