@@ -10,6 +10,7 @@
 //! Stretches of the log are walked side by side, one on each lane.
 
 mod lanes;
+mod refit;
 
 use std::ops::Range;
 
@@ -407,52 +408,5 @@ impl Pass {
         let cost =
             |tape| Level::widest().run(CostAt { tape, states, intensity: &intensity, output: &output });
         self.tapes.iter().map(|tape| cost(tape).to_array().iter().sum::<f64>()).sum()
-    }
-
-    /// The noise that makes the innovations likeliest around this walk: a coordinate search on the logarithms.
-    ///
-    /// `limits` bound each output's log variance, equal ones fix it; `process_floor` bounds the process noise.
-    #[must_use]
-    pub fn refit_noise(
-        &self,
-        scale: &[f64],
-        noise: &Noise,
-        limits: &[(f64, f64)],
-        process_floor: f64,
-    ) -> Noise {
-        let mut best = noise.clone();
-        let mut cost = self.cost_at(scale, &best);
-        let process = scale.iter().any(|s| *s > 0.0);
-        let mut step = 1.5_f64;
-        while step > 0.08 {
-            let mut improved = false;
-            for coordinate in 0..=best.log_output.len() {
-                for direction in [-1.0, 1.0] {
-                    let mut trial = best.clone();
-                    if coordinate == 0 {
-                        if !process {
-                            continue;
-                        }
-                        trial.log_process = (trial.log_process + direction * step).max(process_floor);
-                    } else {
-                        let (low, high) = limits[coordinate - 1];
-                        let value = &mut trial.log_output[coordinate - 1];
-                        *value = (*value + direction * step).clamp(low, high);
-                    }
-                    if trial == best {
-                        continue;
-                    }
-                    let trial_cost = self.cost_at(scale, &trial);
-                    if trial_cost < cost {
-                        (best, cost, improved) = (trial, trial_cost, true);
-                        break;
-                    }
-                }
-            }
-            if !improved {
-                step /= 2.0;
-            }
-        }
-        best
     }
 }

@@ -139,6 +139,13 @@ impl Posterior {
         self.settle(None, null);
     }
 
+    /// Leaves the unknown cause its prior alone: predictions of held-out time with a residual in its place are worse than
+    /// without.
+    pub fn refute_unknown(&mut self, null: &Fit) {
+        self.log_alone = self.log_alone.min(self.log_no_gap + PRIOR_UNKNOWN.ln());
+        self.settle(None, null);
+    }
+
     /// Takes back what a residual alone speaks for where it is no more than the form may be off by of what lowered the null
     /// model's mean squared error from `before`: commands that acted otherwise than they were recorded.
     pub fn forgive(&mut self, null: &Fit, before: f64) {

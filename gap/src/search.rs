@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use crate::filter::{Noise, Pass};
 use crate::fit::{Minimum, TEMPERATURE};
 use crate::hypothesis::{EffectAt, Hypothesis, Slot};
 use crate::innovation::{InnovationFit, fit, walk};
@@ -102,19 +103,29 @@ impl Fit {
 /// Most Gauss–Newton steps of a fit.
 const ITERATIONS: usize = 15;
 
-/// The nominal model, refitted: the null hypothesis.
+/// The walk of the nominal model with its own values along the fitted stretches, and the noise that makes it likeliest.
 #[must_use]
-pub fn null(setup: &Setup) -> Fit {
+pub fn nominal(setup: &Setup) -> (Pass, Noise) {
     let hypothesis = library::hypothesis(setup, &[]);
     let simulator = library::simulator(setup, &hypothesis, Vec::new());
-    let start: Vec<f64> = hypothesis.fitted.iter().map(|f| f.null).collect();
-    let walked = walk(&simulator, &setup.train, &setup.noise, &setup.noise.initial, &start);
+    let values: Vec<f64> = hypothesis.fitted.iter().map(|f| f.null).collect();
+    let walked = walk(&simulator, &setup.train, &setup.noise, &setup.noise.initial, &values);
     let noise = walked.refit_noise(
         &setup.noise.scale,
         &setup.noise.initial,
         &setup.noise.limits,
         setup.noise.process_floor,
     );
+    (walked, noise)
+}
+
+/// The nominal model, refitted: the null hypothesis.
+#[must_use]
+pub fn null(setup: &Setup) -> Fit {
+    let (_, noise) = nominal(setup);
+    let hypothesis = library::hypothesis(setup, &[]);
+    let simulator = library::simulator(setup, &hypothesis, Vec::new());
+    let start: Vec<f64> = hypothesis.fitted.iter().map(|f| f.null).collect();
     let innovation = fit(&simulator, &hypothesis, &setup.train, &setup.noise, &noise, &start, ITERATIONS);
     let windows = windows(setup, &simulator, &innovation.pass);
     let shot = fit_windows(setup, &simulator, &hypothesis, &windows, &innovation.minimum.theta, ITERATIONS);

@@ -41,6 +41,9 @@ pub struct Setup {
     pub joints: Vec<JointScale>,
     /// Standard deviation of each output's readings.
     pub output_scale: Vec<f64>,
+    /// How fast each nominal state typically changes, in its unit per second: root mean square; zero for a state that only
+    /// integrates another one.
+    pub state_rate: Vec<f64>,
     /// Smallest and largest value of each command, and its deviation.
     pub input_range: Vec<Range>,
     /// The same of each output's readings.
@@ -113,6 +116,16 @@ const BLOCKS: usize = 10;
 /// Readings of each output in a window.
 const READINGS_PER_WINDOW: f64 = 25.0;
 
+/// The horizon where none is asked for (s), from the time between readings: a quarter of a second where sampling allows, else
+/// enough readings to see a state. A slow process is sampled many times within each of its time constants, and shows what
+/// goes on between hidden states in windows of as many readings as a robot's.
+fn default_horizon(period: f64) -> f64 {
+    if period > SLOW { READINGS_PER_WINDOW * period } else { (10.0 * period).max(0.25) }
+}
+
+/// Time between readings of a process that is no robot's (s).
+const SLOW: f64 = 0.2;
+
 /// Changes of a command between two readings, at most.
 const COMMANDS_PER_READING: f64 = 3.0;
 
@@ -138,8 +151,7 @@ impl Setup {
             .map(|o| experiment.period(o))
             .fold(f64::INFINITY, f64::min);
         let period = if period.is_finite() && period > 0.0 { period } else { 0.01 };
-        // A quarter of a second where sampling allows, else enough samples to see a state.
-        let horizon = horizon.unwrap_or_else(|| (10.0 * period).max(0.25));
+        let horizon = horizon.unwrap_or_else(|| default_horizon(period));
         let output_noise: Vec<f64> = (0..outputs)
             .map(|o| {
                 equations.system().outputs[o]
@@ -203,6 +215,7 @@ impl Setup {
             period,
             joints: Vec::new(),
             output_scale,
+            state_rate: Vec::new(),
             input_range,
             output_range,
             state_range: Vec::new(),
@@ -211,6 +224,16 @@ impl Setup {
         };
         setup.measure();
         setup
+    }
+
+    /// Takes each state's share of the process noise from the innovations of a fit of the nominal model, its `pass`. Gives
+    /// whether there was anything to choose.
+    pub fn share_noise(&mut self, pass: &Pass, noise: &Noise) -> bool {
+        let model = &mut self.noise;
+        let found = pass.refit_scale(&self.state_rate, noise, &model.limits, model.process_floor);
+        let other = found != model.scale;
+        model.scale = found;
+        other
     }
 
     /// Holds out another of every three blocks, or recordings.
@@ -283,6 +306,7 @@ impl Setup {
                 *scale = size;
             }
         }
+        self.state_rate.clone_from(&self.noise.scale);
         // In units of these scales the intensities are ratios; the search starts from a hundredth.
         self.noise.initial =
             Noise { log_process: (1e-4_f64 * self.period).ln(), log_output: noise.log_output };

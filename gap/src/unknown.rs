@@ -121,7 +121,7 @@ pub fn choose(setup: &Setup, null: &Fit, base: &Fit, unknown: Unknown) -> Choice
 /// The size of what a residual is added to.
 fn natural_size(setup: &Setup, target: Target) -> f64 {
     match target {
-        Target::State(state) => setup.noise.scale[state],
+        Target::State(state) => setup.state_rate[state],
         Target::Output(output) => 0.3 * setup.output_scale[output].max(setup.output_noise[output]),
     }
 }

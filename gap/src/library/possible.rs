@@ -62,7 +62,7 @@ pub fn is_possible(setup: &Setup, fit: &Fit) -> bool {
                 let least = if fit.shooting_error <= INEXACT { LEFT_EXACT } else { LEFT };
                 standard_deviation(&left) >= least * standard_deviation(sent)
             }
-            (Effect::Saturation | Effect::SaturationSoft, PlaceKind::State) => {
+            (Effect::Saturation | Effect::SaturationOverflow, PlaceKind::State) => {
                 let pass = &fit.innovation.pass;
                 let went = pass.state.iter().skip(index).step_by(pass.states().max(1));
                 let clear = CLEAR * setup.state_range[index].width();

@@ -91,6 +91,8 @@ fn size(setup: &Setup, at: &EffectAt, index: usize, spec: &EffectParameter, fitt
         Q::Exponent => sized(fitted, 1.5, &[0.0]),
         Q::Share => sized(fitted, 0.05, &[0.2]),
         Q::LoadShare => sized(fitted, 0.2, &[0.1, 0.7]),
+        // All of it, where both states are of one unit.
+        Q::Overflow => sized(fitted, 1.0, &[0.5]),
         Q::Level | Q::LevelRate | Q::PerLevel | Q::Low | Q::High => level(setup, at, index, spec, fitted),
         Q::Reading => {
             sized(fitted, 0.3 * setup.output_scale[index].max(setup.output_noise[index]), &[0.0]);
@@ -362,6 +364,7 @@ fn unit(setup: &Setup, kind: PlaceKind, index: usize, quantity: Quantity) -> Str
         Q::PerLevel
         | Q::Ratio
         | Q::Share
+        | Q::Overflow
         | Q::Damping
         | Q::Exponent
         | Q::LoadShare

@@ -1,6 +1,7 @@
 //! Why a log or a system cannot show an effect, before any fit.
 
 use parallax_model::effect::{Effect, PlaceKind};
+use parallax_model::system::System;
 
 use crate::hypothesis::EffectAt;
 use crate::readings;
@@ -25,8 +26,13 @@ pub(super) fn testable(setup: &Setup, at: &EffectAt, index: usize) -> Result<(),
             let range = &setup.state_range[index];
             let moves = range.width() > 1e-9 * range.high.abs().max(range.low.abs()).max(1e-9);
             need(moves, "the state never changes in this log")?;
-            let mut joints = setup.equations.system().joints.iter();
-            let held = at.effect == Effect::Saturation || at.effect == Effect::SaturationSoft;
+            let system = setup.equations.system();
+            let mut joints = system.joints.iter();
+            let held = at.effect == Effect::Saturation;
+            need(
+                at.effect != Effect::SaturationOverflow || system.fed_by(index).is_some(),
+                System::FEEDS_NONE,
+            )?;
             need(
                 !held || joints.all(|joint| joint.position_state != Some(index)),
                 "it is the position of a joint, which an `end_stop` limits",

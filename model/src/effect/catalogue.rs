@@ -67,6 +67,8 @@ pub(super) const fn of(effect: Effect) -> Entry {
         Effect::Saturation => entry("saturation", "is clipped", const { &[PlaceKind::Input, PlaceKind::State] }, LEVELS),
         Effect::SaturationSoft => entry("saturation", "bends towards its limits", INPUT, const { &[
             within("low", Q::Low, -INF, -INF, INF), within("high", Q::High, INF, -INF, INF), positive("softness", Q::Level)] }),
+        Effect::SaturationOverflow => entry("saturation", "overflows into what it feeds", const { &[PlaceKind::State] }, const { &[
+            within("high", Q::High, INF, -INF, INF), within("share", Q::Overflow, 0.0, 0.0, INF)] }),
         Effect::Deadband => entry("deadband", "does nothing while small", INPUT, const { &[positive("width", Q::Level)] }),
         Effect::RateLimit => entry("rate_limit", "follows no faster than a limit", INPUT,
             const { &[within("rate", Q::LevelRate, INF, 0.0, INF)] }),

@@ -50,6 +50,9 @@ pub enum Effect {
     Saturation,
     /// A command that bends smoothly towards `low` and `high`: a form of `saturation`.
     SaturationSoft,
+    /// A state that overflows: a share of what it cannot hold enters the state that it feeds
+    /// ([`System::fed_by`](crate::system::System::fed_by)). A form of `saturation`.
+    SaturationOverflow,
     /// A command of less than `width` does nothing.
     Deadband,
     /// A command that is followed at a limited rate.
@@ -140,7 +143,7 @@ pub enum Effect {
 
 impl Effect {
     /// Every effect there is, in every form.
-    pub const ALL: [Effect; 49] = [
+    pub const ALL: [Effect; 50] = [
         Effect::Delay,
         Effect::Lag,
         Effect::LagSecondOrder,
@@ -148,6 +151,7 @@ impl Effect {
         Effect::Offset,
         Effect::Saturation,
         Effect::SaturationSoft,
+        Effect::SaturationOverflow,
         Effect::Deadband,
         Effect::RateLimit,
         Effect::Backlash,
@@ -243,7 +247,7 @@ impl Effect {
         match self {
             Effect::LagSecondOrder => &[Effect::Lag],
             Effect::SensorLagSecondOrder => &[Effect::SensorLag],
-            Effect::SaturationSoft => &[Effect::Saturation],
+            Effect::SaturationSoft | Effect::SaturationOverflow => &[Effect::Saturation],
             Effect::CoulombDahl | Effect::Stribeck | Effect::AsymmetricFriction => &[Effect::Coulomb],
             Effect::AsymmetricViscous => &[Effect::Viscous],
             // A wave longer than the way is a stiffness that changes along it.
@@ -283,7 +287,7 @@ impl Effect {
             Effect::Gain | Effect::SensorLag | Effect::SensorLagSecondOrder => 0,
             Effect::Offset | Effect::Scale => 1,
             Effect::SupplySag | Effect::SupplySagLoad | Effect::Bias => 2,
-            Effect::Saturation | Effect::SaturationSoft | Effect::Drift => 3,
+            Effect::Saturation | Effect::SaturationSoft | Effect::SaturationOverflow | Effect::Drift => 3,
             Effect::Deadband | Effect::SensorSaturation => 4,
             Effect::RateLimit => 5,
             Effect::Lag | Effect::LagSecondOrder => 6,

@@ -9,6 +9,8 @@ pub enum Quantity {
     Ratio,
     /// A share of events, 0 to 1.
     Share,
+    /// What enters another state, in its unit, for one unit that overflows.
+    Overflow,
     /// The damping ratio of a second-order system.
     Damping,
     /// A power.

@@ -151,17 +151,26 @@ impl Plant {
     }
 
     /// Keeps saturated states within their bounds: a derivative that points outside vanishes there, and what is
-    /// beyond a bound returns to it within a step, so that a state's rest depends on its bound.
+    /// beyond a bound returns to it within a step, so that a state's rest depends on its bound. Of what a state that
+    /// overflows cannot hold, a share enters the state that it feeds.
     pub(super) fn hold_within<T: Scalar>(&self, point: &Point<'_, T>, extra: &[T], derivatives: &mut [T]) {
         let zero = T::constant(0.0);
         for bound in self.effects.iter().filter(|b| b.kind == PlaceKind::State) {
             let own = self.own(bound, extra);
-            let (low, high) = (own[0], own[1]);
             let (x, d) = (point.states[bound.index], derivatives[bound.index]);
             let step = self.step(extra);
+            let overflows = bound.effect == Effect::SaturationOverflow;
+            let (low, high) = if overflows { (None, own[0]) } else { (Some(own[0]), own[1]) };
             let above = d.min(zero) - (x - high) / step;
-            let below = d.max(zero) + (low - x) / step;
-            derivatives[bound.index] = T::select(high.lt(x), above, T::select(x.lt(low), below, d));
+            let held = match low {
+                Some(low) => T::select(x.lt(low), d.max(zero) + (low - x) / step, d),
+                None => d,
+            };
+            let held = T::select(high.lt(x), above, held);
+            derivatives[bound.index] = held;
+            if overflows && let Some(fed) = self.equations.system().fed_by(bound.index) {
+                derivatives[fed] += own[1] * (d - held);
+            }
         }
     }
 

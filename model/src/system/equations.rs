@@ -265,6 +265,9 @@ fn own_effects(system: &System) -> Result<Vec<OwnEffect>, SystemError> {
             let supported = system.joints[index].supports(effect);
             supported.map_err(|reason| bad(format!("it cannot act at {place}: {reason}")))?;
         }
+        if effect == Effect::SaturationOverflow && system.fed_by(index).is_none() {
+            return Err(bad(format!("it cannot overflow at {place}: {}", System::FEEDS_NONE)));
+        }
         own.push(OwnEffect { effect, kind: place.kind, index, values });
     }
     Ok(own)

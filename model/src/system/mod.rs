@@ -44,6 +44,7 @@
 //! ```
 
 mod correct;
+mod depends;
 mod equations;
 mod error;
 mod expression;
@@ -191,28 +192,6 @@ impl System {
     /// Index of the joint `name`.
     pub fn joint(&self, name: &str) -> Option<usize> {
         self.joints.iter().position(|joint| joint.name == name)
-    }
-
-    /// Whether a reading of an output depends on any command at once, through no state.
-    #[must_use]
-    pub fn shows_command(&self, output: usize) -> bool {
-        (0..self.inputs.len()).any(|input| self.shows(output, input))
-    }
-
-    /// Whether a reading of an output depends on this command at once, through no state.
-    #[must_use]
-    pub fn shows(&self, output: usize, input: usize) -> bool {
-        let mut open: Vec<&str> = self.outputs.get(output).map_or(Vec::new(), |o| o.value.names().collect());
-        let mut seen = std::collections::BTreeSet::new();
-        while let Some(name) = open.pop() {
-            if self.input(name) == Some(input) {
-                return true;
-            }
-            if let Some(entry) = self.lets.iter().find(|entry| entry.name == name && seen.insert(name)) {
-                open.extend(entry.expression.names());
-            }
-        }
-        false
     }
 
     /// Every expression of the system.
