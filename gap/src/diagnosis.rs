@@ -475,7 +475,8 @@ fn split(setup: &Setup, null: &Fit, best: &Fit, refitted: &Row, with_effect: &Ro
         } else {
             let fit = search::fit_part(setup, null, library::hypothesis(setup, &chosen), best);
             let simulator = library::simulator(setup, &fit.hypothesis, Vec::new());
-            closed(&quantify::predict(setup, &simulator, fit.estimate(), &fit.innovation.noise))
+            // What alone makes predictions worse, however much, closes nothing alone.
+            closed(&quantify::predict(setup, &simulator, fit.estimate(), &fit.innovation.noise)).max(0.0)
         }
     };
     let gains: Vec<f64> = (0..1_usize << effects.len()).into_par_iter().map(gain).collect();

@@ -28,7 +28,8 @@ use crate::hypothesis::EffectAt;
 /// What a caller may choose.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Length of windows and predictions (s); by default a quarter of a second, or ten samples if that is longer.
+    /// Length of windows and predictions (s); by default a quarter of a second, or ten samples if that is longer, or
+    /// 25 samples of a slow process, read less than five times a second.
     pub horizon: Option<f64>,
     /// Seed of the simulated nulls and bootstraps.
     pub seed: u64,

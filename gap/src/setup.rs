@@ -226,6 +226,13 @@ impl Setup {
         setup
     }
 
+    /// Whether an output shows this state itself.
+    #[must_use]
+    pub fn is_shown(&self, state: usize) -> bool {
+        let system = self.equations.system();
+        system.outputs.iter().any(|o| o.value.text().trim() == system.states[state].name)
+    }
+
     /// Takes each state's share of the process noise from the innovations of a fit of the nominal model, its `pass`. Gives
     /// whether there was anything to choose.
     pub fn share_noise(&mut self, pass: &Pass, noise: &Noise) -> bool {

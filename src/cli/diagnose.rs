@@ -42,7 +42,8 @@ pub(crate) struct Arguments {
     /// Leave out what comes from there on, in seconds from each recording's first stamp.
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
     to: Option<f64>,
-    /// How far ahead predictions are scored; by default a quarter of a second, or ten samples if that is longer.
+    /// How far ahead predictions are scored; by default a quarter of a second, or ten samples if that is
+    /// longer (25 of a slow process, read less than five times a second).
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
     horizon: Option<f64>,
     /// Seed of the simulated comparisons.

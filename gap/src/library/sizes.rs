@@ -117,16 +117,19 @@ fn level(setup: &Setup, at: &EffectAt, index: usize, spec: &EffectParameter, fit
     match spec.quantity {
         Quantity::Low | Quantity::High => {
             let upper = spec.quantity == Quantity::High;
-            let (low, high) = if upper { (range.middle(), range.high) } else { (range.low, range.middle()) };
-            fitted.null = if upper { high } else { low };
-            // Shares of half the range.
-            // A command may be far above what the machine can do.
-            let shares: &[f64] = match at.place.kind {
-                PlaceKind::Input => &[0.05, 0.3, 0.6, 0.9],
-                _ => &[0.05, 0.3, 0.6],
+            let end = if upper { range.high } else { range.low };
+            fitted.null = end;
+            // Where to start and how far to go, in shares of half the range.
+            let (shares, farthest): (&[f64], f64) = match at.place.kind {
+                // A command may be far above what the machine can do.
+                PlaceKind::Input => (&[0.05, 0.3, 0.6, 0.9], 1.0),
+                // Nobody saw the state go there: without the limit it is believed to go far beyond.
+                PlaceKind::State if !setup.is_shown(index) => (&[0.05, 0.3, 0.6, 1.0, 1.4], 1.8),
+                _ => (&[0.05, 0.3, 0.6], 1.0),
             };
-            let starts = shares.iter().map(|s| fitted.null + s * (range.middle() - fitted.null)).collect();
-            flat(fitted, low, high, starts);
+            let at_share = |share: &f64| end + share * (range.middle() - end);
+            let bound = at_share(&farthest);
+            flat(fitted, bound.min(end), bound.max(end), shares.iter().map(at_share).collect());
             if at.place.kind == PlaceKind::Output {
                 // Readings rest at a limit: it is nowhere else.
                 let (_, readings) = setup.experiment.output(index);
