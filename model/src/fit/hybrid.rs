@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 pub use options::HybridOptions;
 use points::{apart, distinct, ends};
 
+use super::marquardt::not_worse;
 use super::normal::{even, stream};
 use super::sweep::along;
 use super::{
@@ -41,8 +42,10 @@ const ENOUGH_ROUNDS: usize = 4;
 /// Steps from one share to the next are made smaller until they are by this factor.
 const SMALLEST_STEP: f64 = 1.08;
 
-/// How much larger a gain has to be before the last view.
-const ON_THE_WAY: f64 = 50.0;
+/// Before the last view a gain has to be this share of the loss aimed at, …
+const ON_THE_WAY: f64 = 2e-3;
+/// … or, where none is, so many times as large.
+const LARGER: f64 = 10.0;
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 enum Phase {
@@ -202,8 +205,15 @@ impl Hybrid {
         let HybridOptions { iterations, .. } = self.options;
         // Only the end has to be exact.
         let last = view == View::whole(1.0);
-        let gain = self.options.gain * if last { 1.0 } else { ON_THE_WAY };
-        let options = MarquardtOptions { iterations, gain, view, ..MarquardtOptions::default() };
+        let share = if view.pieces > 1 { 1.0 } else { view.share };
+        let gain = match self.options.target {
+            _ if last => self.options.gain,
+            Some(target) => self.options.gain.max(ON_THE_WAY * target * share),
+            None => self.options.gain * LARGER,
+        };
+        // Pieces that do not come near it are left.
+        let worth = self.options.target.filter(|_| view.pieces > 1).map(|target| HOPELESS * target);
+        let options = MarquardtOptions { iterations, gain, view, worth, ..MarquardtOptions::default() };
         LevenbergMarquardt::new(bounds, starts, options)
     }
 
@@ -300,7 +310,7 @@ impl Hybrid {
                     }
                     Some(least) => {
                         // What fits the beginning far worse will not fit the whole better.
-                        ends.retain(|end| end.loss <= 2.0 * least.abs() + least + 10.0);
+                        ends.retain(|end| end.loss <= not_worse(least));
                         self.held = Some((share, ends));
                         self.grow()
                     }
