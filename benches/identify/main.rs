@@ -18,6 +18,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use clap::Parser;
 use parallax_model::fit::CmaOptions;
 use parallax_sim::identify::{Identified, Method, Problem, search};
+use serde::Serialize;
 use serde_json::{Value, json};
 
 use truth::{Truth, delay, share};
@@ -144,6 +145,72 @@ fn time(name: &str, truth: Truth, options: CmaOptions) -> anyhow::Result<Value> 
     }))
 }
 
+/// What was found of delays with one hump or two.
+#[derive(Default, Serialize)]
+struct Counted {
+    one: usize,
+    /// Of these, taken for two.
+    false_alarms: usize,
+    two: usize,
+    told: usize,
+    /// Of what was told, distances and shares within their 95 % intervals.
+    distances_covered: usize,
+    shares_covered: usize,
+    worst_distance_s: f64,
+    worst_share: f64,
+}
+
+impl Counted {
+    fn count(&mut self, found: &Identified, truth: Option<(f64, f64)>) {
+        let told = found.humps.first();
+        let Some((apart, share)) = truth else {
+            self.one += 1;
+            if let Some(told) = told {
+                self.false_alarms += 1;
+                println!("      one hump, taken for two: {told:?}");
+            }
+            return;
+        };
+        self.two += 1;
+        let Some(told) = told else {
+            println!(
+                "      two humps {:.2} ms apart with {share:.2} in the later one: not told",
+                1e3 * apart
+            );
+            return;
+        };
+        self.told += 1;
+        let late = told.humps[told.humps.len() - 1].share;
+        println!(
+            "      two humps {:+.3}±{:.3} of {:.2} ms apart, {:+.3}±{:.3} of {share:.2} in the later one",
+            1e3 * (told.apart.value - apart),
+            1e3 * told.apart.std,
+            1e3 * apart,
+            late.value - share,
+            late.std
+        );
+        self.distances_covered += usize::from((told.apart.value - apart).abs() <= 1.96 * told.apart.std);
+        self.shares_covered += usize::from((late.value - share).abs() <= 1.96 * late.std);
+        self.worst_distance_s = self.worst_distance_s.max((told.apart.value - apart).abs());
+        self.worst_share = self.worst_share.max((late.value - share).abs());
+    }
+
+    fn print(&self, name: &str) {
+        println!(
+            "{name}: {} of {} delays with one hump taken for two; of {} with two, {} told, {} distances and {} shares within \
+             their 95 % intervals, worst errors {:.3} ms and {:.3}",
+            self.false_alarms,
+            self.one,
+            self.two,
+            self.told,
+            self.distances_covered,
+            self.shares_covered,
+            1e3 * self.worst_distance_s,
+            self.worst_share
+        );
+    }
+}
+
 /// The default solver on machines drawn at random.
 fn quality(
     name: &str,
@@ -158,9 +225,10 @@ fn quality(
     let (mut told, mut covered) = (0, 0);
     let (mut spread, mut spread_covered, mut spread_worst) = (0, 0, 0.0f64);
     let mut worst: f64 = 0.0;
+    let mut two = Counted::default();
     for index in 0..truths as u64 {
         let seed = seed.wrapping_add(index.wrapping_mul(0x9E37_79B9_7F4A_7C15));
-        let Truth { recording, registry, specification, floor, delays, spreads } = truth(seed)?;
+        let Truth { recording, registry, specification, floor, delays, spreads, humps } = truth(seed)?;
         let start = Instant::now();
         let problem = Problem::new(&[recording], &registry, &specification)?;
         let build = start.elapsed();
@@ -206,6 +274,9 @@ fn quality(
                 .collect::<Vec<_>>()
                 .join(", ")
         );
+        if !spreads.is_empty() {
+            two.count(&found, humps);
+        }
         cases.push(json!({
             "seed": seed, "of_floor": ratio, "seconds": time.as_secs_f64(), "tables_seconds": build.as_secs_f64(),
             "rollouts": found.rollouts, "delays": errors,
@@ -224,8 +295,10 @@ fn quality(
             "{name}: {spread} spreads, worst error {:.3} ms, {spread_covered} within their 95 % intervals",
             1e3 * spread_worst
         );
+        two.print(name);
     }
     Ok(json!({
+        "humps": two,
         "spreads": spread, "spreads_covered": spread_covered, "worst_spread_error_s": spread_worst,
         "truths": truths, "within_5_percent": reached, "within_0.2_s": quick, "seconds": seconds,
         "delays_determined": told, "delays_covered": covered, "worst_delay_error_s": worst, "cases": cases,

@@ -176,9 +176,9 @@ fn machine(seed: u64, search_everything: bool, jitters: bool) -> anyhow::Result<
     send(&mut recording, "motor", |k| vec![volts(k)]);
     let commands: Vec<(f64, f64)> =
         sent(&recording, "motor").into_iter().map(|(sent, payload)| (sent + actuator, payload[0])).collect();
-    let (seen, sensor, spread) = match jitters {
+    let (seen, sensor, spread, humps) = match jitters {
         true => late(&mut random, starts(&recording, "camera").len()),
-        false => (Vec::new(), sensor, 0.0),
+        false => (Vec::new(), sensor, 0.0, None),
     };
     let starts = starts(&recording, "camera").into_iter().enumerate();
     let times = starts.map(|(k, start)| (start - seen.get(k).unwrap_or(&sensor)).max(0.0));
@@ -216,11 +216,13 @@ fn machine(seed: u64, search_everything: bool, jitters: bool) -> anyhow::Result<
         // Open loop, a constant delay before the machine and one after it are seen as their sum.
         delays: vec![(vec!["actuator", "sensor"], actuator + sensor)],
         spreads: if jitters { vec![("sensor.spread", spread)] } else { Vec::new() },
+        humps,
     })
 }
 
-/// How late each picture is, with the mean and the standard deviation of that: one hump or two.
-fn late(random: &mut ChaCha8Rng, count: usize) -> (Vec<f64>, f64, f64) {
+/// How late each picture is, with the mean and the standard deviation of that, and where there are two humps how far they lie
+/// apart and the later one's share.
+fn late(random: &mut ChaCha8Rng, count: usize) -> (Vec<f64>, f64, f64, Option<(f64, f64)>) {
     let (mean, spread) = (random.random_range(0.015..0.035), random.random_range(0.001..0.004));
     let second = if random.random::<bool>() { random.random_range(0.004..0.012) } else { 0.0 };
     let share: f64 = random.random_range(0.2..0.5);
@@ -230,7 +232,8 @@ fn late(random: &mut ChaCha8Rng, count: usize) -> (Vec<f64>, f64, f64) {
         delays.push((mean + hump + spread * normal(random)).max(0.0));
     }
     let variance = spread * spread + share * (1.0 - share) * second * second;
-    (delays, mean + share * second, variance.sqrt())
+    let humps = (second > 0.0).then_some((second, share));
+    (delays, mean + share * second, variance.sqrt(), humps)
 }
 
 /// Of nothing more is known than a data sheet says: each constant to a factor of two.
@@ -336,7 +339,10 @@ fn specification(search_everything: bool, jitters: bool) -> Specification {
         unknowns,
         delays: vec![
             delay("actuator", "motor", "world"),
-            HiddenDelay { scatter: jitters.then_some(Scatter::Normal), ..delay("sensor", "world", "camera") },
+            HiddenDelay {
+                scatter: jitters.then_some(Scatter::Mixture),
+                ..delay("sensor", "world", "camera")
+            },
         ],
         outputs: outputs.to_vec(),
         hold_out: 0.0,

@@ -193,6 +193,7 @@ pub(crate) fn truth(seed: u64) -> anyhow::Result<Truth> {
             (vec!["actuator", "feedback"], actuator + feedback),
         ],
         spreads: Vec::new(),
+        humps: None,
     })
 }
 

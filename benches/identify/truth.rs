@@ -21,6 +21,8 @@ pub(crate) struct Truth {
     pub(crate) delays: Vec<(Vec<&'static str>, f64)>,
     /// Standard deviations of the delays that are another one for every message, s.
     pub(crate) spreads: Vec<(&'static str, f64)>,
+    /// How far apart two humps of a delay lie, s, and the later one's share; none where there is one.
+    pub(crate) humps: Option<(f64, f64)>,
 }
 
 /// How far the errors of all outputs are from the noise, root mean square in units of it.

@@ -133,8 +133,8 @@ def test_a_hidden_delay_that_scatters_scatters_in_training(tmp_path):
         place = {"from": "motor", "to": "world", "port": "motor", "of": of}
         return {"name": "actuator", "places": [place], "value": value, "std": std}
 
-    def lateness(*estimates):
-        (tmp_path / "identified.json").write_text(json.dumps({"estimates": estimates}))
+    def lateness(*estimates, humps=()):
+        (tmp_path / "identified.json").write_text(json.dumps({"estimates": estimates, "humps": humps}))
         varied = pt.varied_episodes(graph, 3.0, identified=tmp_path, variants=10, each=1)
         late = []
         for place in range(len(varied)):
@@ -151,6 +151,14 @@ def test_a_hidden_delay_that_scatters_scatters_in_training(tmp_path):
     assert abs(np.mean(means) - 0.03) < 1.5e-3
     assert 4e-4 < np.std(means) < 2.5e-3
     assert np.all(np.abs(spreads / 2e-3 - 1) < 0.3), spreads
+    # Two humps, 6 ms apart, that are moved with the mean.
+    known = lambda value: {"value": value, "std": 0.0}  # noqa: E731
+    hump = lambda mean: {"share": known(0.5), "mean": known(mean), "spread": known(1e-4)}  # noqa: E731
+    two = {"delay": "actuator", "places": [delay("mean", 0, 0)["places"][0]], "humps": [hump(0.027), hump(0.033)]}
+    means, spreads = lateness(delay("spread", 3e-3, 0.0), delay("mean", 0.03, 1e-3), humps=[two])
+    assert abs(np.mean(means) - 0.03) < 1.5e-3
+    # Nearly everything is 3 ms from the mean, which a normal distribution does not do.
+    assert np.all(np.abs(spreads / 3e-3 - 1) < 0.1), spreads
     # Without a spread every message of an episode takes as long.
     means, spreads = lateness(delay("mean", 0.03, 1e-3))
     assert np.std(means) > 4e-4

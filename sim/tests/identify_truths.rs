@@ -12,7 +12,8 @@ mod truth;
 
 use std::ops::ControlFlow;
 
-use parallax_sim::identify::{Identified, Method, Problem, search};
+use parallax_runtime::delay::Delay;
+use parallax_sim::identify::{Identified, Method, Problem, identified_graph, search};
 use truth::{Truth, delay, share};
 
 fn found(truth: &Truth) -> Identified {
@@ -60,4 +61,30 @@ fn the_mean_and_the_spread_are_found_of_a_delay_that_is_another_one_for_every_pi
     let spread = found.estimate(name).unwrap();
     assert!((spread.value - value).abs() < 0.15 * value, "{spread:?}, truly {value}");
     assert!(spread.std.unwrap() < 0.1 * value);
+}
+
+#[test]
+fn two_humps_of_a_delay_are_told_and_go_into_the_graph_that_is_simulated() {
+    let truth = pendulum::truth_with_a_camera_that_jitters(6).unwrap();
+    let recordings = std::slice::from_ref(&truth.recording);
+    let problem = Problem::new(recordings, &truth.registry, &truth.specification).unwrap();
+    let found = search(&problem, &Method::default(), None, &mut |_| ControlFlow::Continue(())).unwrap();
+    let (apart, share) = truth.humps.expect("a seed of two humps");
+    let [told] = &found.humps[..] else { panic!("one delay that scatters: {:?}", found.humps) };
+    let late = told.humps[1].share;
+    assert!((told.apart.value - apart).abs() < 3.0 * told.apart.std, "{told:?}, truly {apart} s apart");
+    assert!((late.value - share).abs() < 3.0 * late.std, "{told:?}, truly {share} in the later one");
+    assert!(told.apart.std < 0.1 * apart && late.std < 0.05, "{told:?}");
+    let (graph, _) = identified_graph(&problem, &found, &truth.registry);
+    let edge = graph.connections.iter().find(|edge| edge.from == "world" && edge.to == "camera").unwrap();
+    let Delay::Mixture { weights, means, stds } = &edge.delay else { panic!("{:?}", edge.delay) };
+    assert_eq!((weights.len(), means.len(), stds.len()), (2, 2, 2));
+    assert!((means[1] - means[0] - told.apart.value).abs() < 1e-12);
+}
+
+#[test]
+fn one_hump_stays_one() {
+    let truth = pendulum::truth_with_a_camera_that_jitters(7).unwrap();
+    assert!(truth.humps.is_none(), "a seed of one hump");
+    assert!(found(&truth).humps.is_empty());
 }

@@ -9,6 +9,7 @@
 //! anywhere but at its beginning, the data grow until they are all there. Where the loss aimed at is not reached,
 //! everything starts again with another seed.
 
+mod dialogue;
 mod options;
 mod points;
 
@@ -17,12 +18,9 @@ use serde::{Deserialize, Serialize};
 pub use options::HybridOptions;
 use points::{apart, distinct, ends};
 
+use super::marquardt::not_worse;
 use super::normal::{even, stream};
-use super::sweep::along;
-use super::{
-    Ask, Best, Bounds, CmaEs, CmaOptions, FitError, LevenbergMarquardt, MarquardtOptions, Solver, Stop, Tell,
-    View, ranked,
-};
+use super::{Best, Bounds, CmaEs, CmaOptions, FitError, LevenbergMarquardt, MarquardtOptions, Stop, View};
 
 /// No round tries more than so many times what the first one does.
 const MOST_EFFORT: usize = 4;
@@ -41,8 +39,10 @@ const ENOUGH_ROUNDS: usize = 4;
 /// Steps from one share to the next are made smaller until they are by this factor.
 const SMALLEST_STEP: f64 = 1.08;
 
-/// How much larger a gain has to be before the last view.
-const ON_THE_WAY: f64 = 50.0;
+/// Before the last view a gain has to be this share of the loss aimed at, …
+const ON_THE_WAY: f64 = 2e-3;
+/// … or, where none is, so many times as large.
+const LARGER: f64 = 10.0;
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 enum Phase {
@@ -202,8 +202,15 @@ impl Hybrid {
         let HybridOptions { iterations, .. } = self.options;
         // Only the end has to be exact.
         let last = view == View::whole(1.0);
-        let gain = self.options.gain * if last { 1.0 } else { ON_THE_WAY };
-        let options = MarquardtOptions { iterations, gain, view, ..MarquardtOptions::default() };
+        let share = if view.pieces > 1 { 1.0 } else { view.share };
+        let gain = match self.options.target {
+            _ if last => self.options.gain,
+            Some(target) => self.options.gain.max(ON_THE_WAY * target * share),
+            None => self.options.gain * LARGER,
+        };
+        // Pieces that do not come near it are left.
+        let worth = self.options.target.filter(|_| view.pieces > 1).map(|target| HOPELESS * target);
+        let options = MarquardtOptions { iterations, gain, view, worth, ..MarquardtOptions::default() };
         LevenbergMarquardt::new(bounds, starts, options)
     }
 
@@ -300,7 +307,7 @@ impl Hybrid {
                     }
                     Some(least) => {
                         // What fits the beginning far worse will not fit the whole better.
-                        ends.retain(|end| end.loss <= 2.0 * least.abs() + least + 10.0);
+                        ends.retain(|end| end.loss <= not_worse(least));
                         self.held = Some((share, ends));
                         self.grow()
                     }
@@ -376,146 +383,5 @@ impl Hybrid {
 
     fn alike(&self) -> usize {
         self.options.alike.unwrap_or(if self.options.target.is_some() { 1 } else { 2 })
-    }
-}
-
-impl Solver for Hybrid {
-    fn ask(&mut self) -> Ask {
-        loop {
-            let ask = match &mut self.phase {
-                Phase::Scouting { points } => {
-                    let view = View::whole(self.options.shares[0]);
-                    return Ask::Losses { points: points.clone(), view, single: true };
-                }
-                Phase::Evolution(evolution) => evolution.ask(),
-                Phase::Refinement { search, .. } | Phase::Shooting { search, .. } => search.ask(),
-                Phase::Cutting { points } => {
-                    let points = points.clone();
-                    return Ask::States { points, view: self.in_pieces(0) };
-                }
-                Phase::Looking { point, .. } => {
-                    return Ask::Locals { points: vec![point.clone()], view: View::whole(1.0) };
-                }
-                Phase::Sweeping { points, .. } => {
-                    let (points, view) = (points.clone(), View::whole(1.0));
-                    return Ask::Losses { points, view, single: false };
-                }
-                Phase::Done(stop) => return Ask::Done(*stop),
-            };
-            match ask {
-                Ask::Done(_) => self.advance(),
-                ask => return ask,
-            }
-        }
-    }
-
-    fn tell(&mut self, answer: Tell) {
-        let most = 8 * self.leaders();
-        match &mut self.phase {
-            Phase::Scouting { points } => {
-                let Tell::Losses(losses) = answer else { panic!("it asked for losses") };
-                assert_eq!(losses.len(), points.len(), "a loss for every point asked for");
-                let best = ranked(&losses).into_iter().take(most);
-                let best = best.filter(|&k| losses[k].is_finite());
-                let scouts = best.map(|k| Best { point: points[k].clone(), loss: losses[k] }).collect();
-                self.scouts = scouts;
-                let start = self.scouts.first().map_or(&self.start, |best| &best.point).clone();
-                self.phase = match self.evolution(&start) {
-                    Ok(evolution) => Phase::Evolution(evolution),
-                    Err(_) => Phase::Done(Stop::Failed),
-                };
-            }
-            Phase::Evolution(evolution) => {
-                evolution.tell(answer);
-                if self.options.shares[0] == 1.0
-                    && let Some(Best { point, loss }) = evolution.best()
-                {
-                    Best::keep(&mut self.best, point, *loss);
-                }
-            }
-            Phase::Refinement { share, search } => {
-                let begins = search.best().is_none();
-                search.tell(answer);
-                let (share, best) = (*share, search.best());
-                if share >= 1.0
-                    && let Some(Best { point, loss }) = best
-                {
-                    Best::keep(&mut self.best, point, *loss);
-                }
-                let least = best.map_or(f64::INFINITY, |best| best.loss);
-                let step = self.held.as_ref().map_or(0.0, |(held, _)| share / held);
-                if self.swept.0 > 0 {
-                    // Wherever it begins, it has seen all of the data.
-                } else if begins && self.leapt && self.may_cut() {
-                    if self.is_far(NEAR, share, least) {
-                        self.phase = self.cutting();
-                    }
-                } else if begins && !self.shot && step > SMALLEST_STEP && self.is_far(FAR, share, least) {
-                    self.phase = self.shrink(share).unwrap_or(Phase::Done(Stop::Failed));
-                }
-            }
-            Phase::Shooting { search, .. } => search.tell(answer),
-            Phase::Cutting { points } => {
-                let Tell::States(found) = answer else { panic!("it asked for states") };
-                assert_eq!(found.len(), points.len(), "states for every point asked for");
-                self.phase = self.shooting(0, &found).unwrap_or(Phase::Done(Stop::Failed));
-            }
-            Phase::Looking { point, stop } => {
-                let Tell::Locals(locals) = answer else { panic!("it asked for a model") };
-                let (point, stop) = (point.clone(), *stop);
-                let local = locals.first().filter(|local| local.is_finite());
-                let points = local
-                    .map_or_else(Vec::new, |local| along(&point, local, &self.bounds, &self.options.swept));
-                self.phase = match points.is_empty() {
-                    true => Phase::Done(stop),
-                    false => Phase::Sweeping { points, stop },
-                };
-            }
-            Phase::Sweeping { points, stop } => {
-                let Tell::Losses(losses) = answer else { panic!("it asked for losses") };
-                assert_eq!(losses.len(), points.len(), "a loss for every point asked for");
-                let stop = *stop;
-                let least =
-                    ranked(&losses).first().map(|&k| Best { point: points[k].clone(), loss: losses[k] });
-                let worth = |least: &Best| self.best.as_ref().is_none_or(|b| least.loss < b.loss - WORTH);
-                self.phase = match least.filter(worth) {
-                    Some(least) => self.refinement(1.0, &[least.point]).unwrap_or(Phase::Done(stop)),
-                    None => Phase::Done(stop),
-                };
-            }
-            Phase::Done(_) => panic!("it asked for nothing"),
-        }
-    }
-
-    /// Before anything was seen of all the data: the best of what is being searched, with its loss on less.
-    fn best(&self) -> Option<&Best> {
-        let searched = match &self.phase {
-            Phase::Scouting { .. } => None,
-            Phase::Evolution(evolution) => evolution.best().or(self.scouts.first()),
-            Phase::Refinement { search, .. } => search.best(),
-            Phase::Cutting { .. } | Phase::Shooting { .. } => {
-                self.held.as_ref().and_then(|(_, ends)| ends.first())
-            }
-            Phase::Looking { .. } | Phase::Sweeping { .. } | Phase::Done(_) => None,
-        };
-        self.best.as_ref().or(searched)
-    }
-
-    fn progress(&self) -> f64 {
-        // The parts of a round: scouts and evolution, growing shares, pieces, and all of the data.
-        let tightened = self.options.tightness.len().max(1) as f64;
-        let within = match &self.phase {
-            Phase::Scouting { .. } => 0.0,
-            Phase::Evolution(evolution) => evolution.progress(),
-            Phase::Refinement { share, .. } if *share < 1.0 => 1.0 + share,
-            Phase::Cutting { .. } => 2.0,
-            Phase::Shooting { step, search } => 2.0 + (*step as f64 + search.progress()) / tightened,
-            Phase::Refinement { search, .. } => 3.0 + search.progress(),
-            Phase::Looking { .. } | Phase::Sweeping { .. } => 4.0,
-            Phase::Done(_) => return 1.0,
-        };
-        // Most fits need one round, or two that agree.
-        let rounds = if self.options.target.is_some() { 1 } else { 2 }.max(self.round + 1) as f64;
-        ((self.round as f64 + within / 4.0) / rounds).min(1.0)
     }
 }

@@ -24,13 +24,24 @@ pub struct MarquardtOptions {
     pub damping: f64,
     /// It ends when a loss is as low as this.
     pub target: Option<f64>,
+    /// A loss that is worth having: a start is given up that would not come to it by the last step at the pace of its latest
+    /// ones. So is one that would not come near the best of the others.
+    pub worth: Option<f64>,
     /// The data that count.
     pub view: View,
 }
 
 impl Default for MarquardtOptions {
     fn default() -> Self {
-        Self { iterations: 50, gain: 1e-2, dampings: 5, damping: 1e-3, target: None, view: View::whole(1.0) }
+        Self {
+            iterations: 50,
+            gain: 1e-2,
+            dampings: 5,
+            damping: 1e-3,
+            target: None,
+            worth: None,
+            view: View::whole(1.0),
+        }
     }
 }
 
@@ -48,6 +59,9 @@ struct Track {
     done: bool,
     /// Steps that are being tried, with their dampings.
     trials: Vec<(Vec<f64>, f64)>,
+    /// What the last steps gained, the newest first.
+    #[serde(default)]
+    gains: Vec<f64>,
 }
 
 /// Levenberg–Marquardt on exact derivatives.
@@ -66,6 +80,8 @@ const STEP: f64 = 20.0;
 /// Steps are tried as well for which each parameter has a normal prior around where it is, with so many standard deviations
 /// in its scale, squared: they are whole in what the data tell, however it is mixed with what they do not.
 const RIDGES: [f64; 2] = [3.0, 100.0];
+/// The pace of a start is the largest of so many gains.
+const PACE: usize = 3;
 /// Above this damping, steps are too short to matter.
 const LARGEST: f64 = 1e9;
 /// Below this one, steps are those of Gauss–Newton.
@@ -95,6 +111,7 @@ impl LevenbergMarquardt {
                 steps: 0,
                 done: false,
                 trials: Vec::new(),
+                gains: Vec::new(),
             });
         }
         let first = starts.first().map_or(&[][..], Vec::as_slice);
@@ -161,7 +178,9 @@ impl LevenbergMarquardt {
         track.steps += 1;
         match best {
             Some(((point, damping), loss)) if *loss < now => {
-                track.done = now - loss < self.options.gain;
+                track.gains.insert(0, now - loss);
+                track.gains.truncate(PACE);
+                track.done = now - loss < self.options.gain || self.is_behind(track, *loss);
                 track.point = point;
                 track.loss = Some(*loss);
                 track.damping = (damping / STEP.sqrt()).clamp(SMALLEST, LARGEST);
@@ -176,10 +195,24 @@ impl LevenbergMarquardt {
         }
     }
 
+    /// Whether a track that has come to this loss ends, at its pace, at nothing that is worth having.
+    fn is_behind(&self, track: &Track, loss: f64) -> bool {
+        let left = self.options.iterations.saturating_sub(track.steps) as f64;
+        let pace = track.gains.iter().copied().fold(0.0, f64::max);
+        let least = self.best.as_ref().map_or(f64::INFINITY, |best| best.loss);
+        let worth = self.options.worth.map_or(f64::INFINITY, |worth| worth.max(least));
+        track.gains.len() == PACE && loss - left * pace > worth.min(not_worse(least))
+    }
+
     /// Whether a track has to be told its surroundings.
     fn needs_local(track: &Track) -> bool {
         track.local.is_none() && !track.done
     }
+}
+
+/// A loss that is hardly worse than the least.
+pub(super) fn not_worse(least: f64) -> f64 {
+    least + 2.0 * least.abs() + 10.0
 }
 
 impl Solver for LevenbergMarquardt {

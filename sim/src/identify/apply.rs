@@ -8,7 +8,7 @@ use serde_json::{Map, Value};
 
 use super::coordinate::Sort;
 use super::location::parameter;
-use super::outcome::Identified;
+use super::outcome::{Estimate, Hump, Identified};
 use super::problem::Problem;
 use crate::batch::Place;
 
@@ -37,11 +37,7 @@ pub fn identified_graph(
         for place in &coordinate.places {
             match *place {
                 Place::Delay { connection } => {
-                    let spread = found.estimate(&format!("{}.spread", estimate.name));
-                    spec.connections[connection].delay = match spread {
-                        Some(spread) => Delay::Normal { mean: estimate.value, std: spread.value },
-                        None => Delay::constant(estimate.value),
-                    };
+                    spec.connections[connection].delay = delay(found, estimate);
                 }
                 Place::Param { node, leaf } => pending.push((estimate, node, Number::Param(leaf))),
                 Place::State { node, leaf } => pending.push((estimate, node, Number::State(leaf))),
@@ -71,6 +67,22 @@ pub fn identified_graph(
         notes.push(format!("the graph cannot run as it is: {error}"));
     }
     (spec, notes)
+}
+
+/// The distribution that was found of a delay.
+fn delay(found: &Identified, estimate: &Estimate) -> Delay {
+    if let Some(found) = found.humps.iter().find(|humps| humps.delay == estimate.name) {
+        let list = |of: fn(&Hump) -> f64| found.humps.iter().map(of).collect();
+        return Delay::Mixture {
+            weights: list(|hump| hump.share.value),
+            means: list(|hump| hump.mean.value),
+            stds: list(|hump| hump.spread.value),
+        };
+    }
+    match found.estimate(&format!("{}.spread", estimate.name)) {
+        Some(spread) => Delay::Normal { mean: estimate.value, std: spread.value },
+        None => Delay::constant(estimate.value),
+    }
 }
 
 /// Sets the entry of a node's parameters that moves a number of its model, if there is one: named like the whole leaf, as

@@ -22,6 +22,7 @@ mod combination;
 mod coordinate;
 mod error;
 mod evaluate;
+mod humps;
 mod location;
 mod outcome;
 mod problem;
@@ -45,7 +46,7 @@ pub use coordinate::Sort;
 pub use error::IdentifyError;
 pub use evaluate::Evaluator;
 pub use location::{Location, Moment};
-pub use outcome::{Estimate, Identified, Reconstruction, Score, Series};
+pub use outcome::{Estimate, Hump, Humps, Identified, Known, Reconstruction, Score, Series};
 pub use problem::Problem;
 pub use spec::{
     HiddenDelay, Output, Prior, Scatter, Simulated, Specification, Target, Term, Transform, Unknown,

@@ -9,8 +9,10 @@ use super::combination::{Combination, Member, combinations};
 use super::coordinate::Sort;
 use super::error::IdentifyError;
 use super::evaluate::{Evaluator, Fit, Model, Scattered, wrapped};
+use super::humps::{Component, Two, two_humps};
 use super::location::{Location, Moment, locations};
 use super::problem::Problem;
+use super::spec::Scatter;
 use super::spread::{Part, Spread};
 
 /// The result of an identification.
@@ -34,6 +36,50 @@ pub struct Identified {
     pub rollouts: u64,
     /// What the search ended at, between 0 and 1.
     pub point: Vec<f64>,
+    /// Delays that come in two humps, where a mixture was asked for.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub humps: Vec<Humps>,
+}
+
+/// A delay whose messages come in two humps; its estimates hold the mean and the standard deviation of both together.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Humps {
+    /// The delay, by the name of its estimate.
+    pub delay: String,
+    /// Where in the graph it stands.
+    pub places: Vec<Location>,
+    /// The earlier and the later one.
+    pub humps: Vec<Hump>,
+    /// How far their means are apart, s.
+    pub apart: Known,
+    /// By how much Schwarz's criterion prefers two humps to one, in units of −2 log likelihood.
+    pub evidence: f64,
+}
+
+/// A normal distribution among those of a delay.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Hump {
+    /// Its share of the messages.
+    pub share: Known,
+    /// Its mean, s. The standard deviation is that of its distance from the mean of all, which has one of its own.
+    pub mean: Known,
+    /// Its standard deviation, s.
+    pub spread: Known,
+}
+
+/// A number with its standard deviation.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Known {
+    /// The number.
+    pub value: f64,
+    /// Its standard deviation.
+    pub std: f64,
+}
+
+impl Known {
+    fn new(value: f64, variance: f64) -> Self {
+        Self { value, std: variance.max(0.0).sqrt() }
+    }
 }
 
 /// One number that was found.
@@ -225,9 +271,53 @@ pub(super) fn outcome(
         ));
         estimates.push(estimate);
     }
+    let humps: Vec<Humps> = scattered.iter().filter_map(|found| humps(problem, found, &estimates)).collect();
+    for found in &humps {
+        remarks.push(format!(
+            "`{}` comes in two humps, {:.2} ms apart: {:.0} % of its messages are in the later one",
+            found.delay,
+            1e3 * found.apart.value,
+            100.0 * found.humps.last().map_or(0.0, |late| late.share.value)
+        ));
+    }
     let outputs = scores(problem, evaluator, best, &coefficients)?;
     let (loss, point) = (local.cost, best.point.clone());
-    Ok(Identified { estimates, covariance, combinations, remarks, outputs, loss, stop, rollouts, point })
+    Ok(Identified {
+        estimates,
+        covariance,
+        combinations,
+        remarks,
+        outputs,
+        loss,
+        stop,
+        rollouts,
+        point,
+        humps,
+    })
+}
+
+/// The humps of the delay that scatters, where a mixture was asked for and the recordings tell two.
+fn humps(problem: &Problem, found: &Scattered, estimates: &[Estimate]) -> Option<Humps> {
+    let (delay, (spread, _)) = (estimates.get(*problem.scattered.first()?)?, found.spreads.first()?);
+    let asked = problem.specification().delays.iter().find(|asked| asked.name == delay.name)?;
+    if asked.scatter != Some(Scatter::Mixture) {
+        return None;
+    }
+    let Two { humps: [early, late], covariance, evidence } = two_humps(&found.readings, *spread)?;
+    let variance = |i: usize| covariance[(i, i)];
+    let hump = |component: Component, k: usize| Hump {
+        share: Known::new(component.share, variance(0)),
+        mean: Known::new(delay.value + component.offset, variance(1 + k)),
+        spread: Known::new(component.spread, variance(3 + k)),
+    };
+    let apart = variance(1) + variance(2) - 2.0 * covariance[(1, 2)];
+    Some(Humps {
+        delay: delay.name.clone(),
+        places: delay.places.clone(),
+        humps: vec![hump(early, 0), hump(late, 1)],
+        apart: Known::new(late.offset - early.offset, apart),
+        evidence,
+    })
 }
 
 /// The standard deviation of a spread that is the root of a variance with a standard deviation.

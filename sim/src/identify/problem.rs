@@ -10,7 +10,7 @@ use parallax_runtime::time::to_seconds;
 use super::coordinate::{Coordinate, Sort};
 use super::error::IdentifyError;
 use super::simulators::{augmentation, feeds, longest};
-use super::spec::{Output, Specification, Target, Transform, Unknown};
+use super::spec::{Output, Scatter, Specification, Target, Transform, Unknown};
 use crate::batch::Place;
 use crate::compiled::{CompileOptions, CompiledGraph, compile};
 use crate::episode::Episode;
@@ -398,6 +398,13 @@ fn scattered(
             });
         }
         found.push(coordinate);
+    }
+    let mixture = specification.delays.iter().find(|delay| delay.scatter == Some(Scatter::Mixture));
+    if let (Some(delay), true) = (mixture, found.len() > 1) {
+        return Err(IdentifyError::Value {
+            whose: format!("delays.\"{}\"", delay.name),
+            problem: "the humps of a delay are found only where no other one scatters".to_owned(),
+        });
     }
     Ok(found)
 }

@@ -127,6 +127,9 @@ impl Transform {
 pub enum Scatter {
     /// Mean and standard deviation.
     Normal,
+    /// These, and whether delays come in one hump or in two, as a camera's that needs one or two periods of its shutter: two
+    /// normal distributions with their shares, where the recordings tell them apart. No other delay may scatter beside it.
+    Mixture,
 }
 
 /// A delay that no stamp shows: constant over the recordings, unless it scatters.

@@ -98,7 +98,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     let answer = json!({
         "estimates": found.estimates, "combinations": found.combinations, "remarks": found.remarks,
         "outputs": found.outputs, "covariance": found.covariance, "loss": found.loss, "stop": found.stop,
-        "rollouts": found.rollouts, "seconds": seconds, "not_written": unwritten,
+        "rollouts": found.rollouts, "seconds": seconds, "not_written": unwritten, "humps": found.humps,
     });
     write(
         &arguments.out.join("identified.json"),

@@ -37,10 +37,11 @@ def varied_episodes(
 
     `identified` is the folder of a `parallax identify`: in each variant the graph's hidden delays are drawn from its
     estimates, mean and spread, with `widen` times their standard deviations; a delay that was found to scatter is
-    another one for every message. Of one that the data do not determine, the estimate is taken.
+    another one for every message, in two humps where two were found. Of one that the data do not determine, the
+    estimate is taken.
     """
     spec = graph.spec
-    hidden = {} if identified is None else _hidden(Path(identified), graph)
+    hidden, humps = ({}, {}) if identified is None else _hidden(Path(identified), graph)
     result: Episodes | None = None
     for variant in range(variants):
         key = jax.random.fold_in(jax.random.key(seed), variant)
@@ -48,11 +49,8 @@ def varied_episodes(
         for index, (place, moments) in enumerate(hidden.items()):
             drawn = jax.random.normal(jax.random.fold_in(key, 1000 + index), (2,), float)
             values = [max(0.0, value + widen * std * float(z)) for (value, std), z in zip(moments, drawn, strict=False)]
-            changed["connection"][graph.connections.index(place)]["delay"] = (
-                {"distribution": "normal", "mean": values[0], "std": values[1]}
-                if len(values) == 2
-                else {"distribution": "constant", "seconds": values[0]}
-            )
+            found = [value for value, _ in moments]
+            changed["connection"][graph.connections.index(place)]["delay"] = _drawn(values, found, humps.get(place, []))
         for index, (place, distribution) in enumerate((extra or {}).items()):
             shift = float(distribution.sample(jax.random.fold_in(key, index)))
             _shift(changed, graph, place, shift)
@@ -63,25 +61,53 @@ def varied_episodes(
     return result
 
 
-def _hidden(folder: Path, graph: Graph) -> dict[str, list[tuple[float, float]]]:
+_Moments = dict[str, list[tuple[float, float]]]
+_Humps = dict[str, list[dict[str, Any]]]
+
+
+def _hidden(folder: Path, graph: Graph) -> tuple[_Moments, _Humps]:
     """For each hidden delay by its connection: value and standard deviation (s) of its mean, and of its spread where it
-    scatters."""
+    scatters; and the humps of those that have two."""
     file = folder / "identified.json"
-    estimates = json.loads(file.read_text(encoding="utf-8"))["estimates"]
-    result: dict[str, list[tuple[float, float]]] = {}
-    # A spread comes after its mean.
-    for estimate in sorted(estimates, key=lambda estimate: any(p.get("of") == "spread" for p in estimate["places"])):
-        for place in estimate["places"]:
+    content = json.loads(file.read_text(encoding="utf-8"))
+
+    def connection(places: list[dict[str, Any]]) -> str | None:
+        for place in places:
             if "of" not in place:
                 continue
             name = f"{place['from']}->{place['to']}"
-            names = [each for each in (name, f"{name}.{place['port']}") if each in graph.connections]
-            if names:
-                result.setdefault(names[0], []).append((float(estimate["value"]), float(estimate["std"] or 0.0)))
+            for each in (name, f"{name}.{place['port']}"):
+                if each in graph.connections:
+                    return each
+        return None
+
+    result: _Moments = {}
+    # A spread comes after its mean.
+    estimates = content["estimates"]
+    for estimate in sorted(estimates, key=lambda estimate: any(p.get("of") == "spread" for p in estimate["places"])):
+        if name := connection(estimate["places"]):
+            result.setdefault(name, []).append((float(estimate["value"]), float(estimate["std"] or 0.0)))
     if not result:
         known = ", ".join(graph.connections)
         raise ValueError(f"{file} has no hidden delay of a connection of this graph ({known})")
-    return result
+    humps = {connection(each["places"]): each["humps"] for each in content.get("humps", [])}
+    return result, {name: each for name, each in humps.items() if name is not None}
+
+
+def _drawn(values: list[float], found: list[float], humps: list[dict[str, Any]]) -> dict[str, Any]:
+    """The distribution of a delay whose mean and spread (s) were drawn around those that were found. Humps keep their
+    form: they are moved with the mean, and stretched with the spread."""
+    if len(values) < 2:
+        return {"distribution": "constant", "seconds": values[0]}
+    if not humps or found[1] == 0.0:
+        return {"distribution": "normal", "mean": values[0], "std": values[1]}
+    stretch = values[1] / found[1]
+    return {
+        "distribution": "mixture",
+        "weights": [hump["share"]["value"] for hump in humps],
+        "means": [values[0] + stretch * (hump["mean"]["value"] - found[0]) for hump in humps],
+        "stds": [stretch * hump["spread"]["value"] for hump in humps],
+    }
 
 
 def _shift(spec: dict[str, Any], graph: Graph, place: str, seconds: float) -> None:

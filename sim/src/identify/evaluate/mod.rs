@@ -1,6 +1,7 @@
 //! Losses and derivatives of many points at once, by replaying the recorded actions through the computation graph.
 
 mod model;
+mod moved;
 mod scatter;
 mod stretch;
 mod sums;

@@ -75,13 +75,17 @@ impl Evaluator<'_> {
         let mut alone = if parts > 1 { vec![Local::zero(all); parts * traces.len()] } else { Vec::new() };
         let mut fit = Fit { coefficients: Vec::new(), squares: Vec::new(), samples: Vec::new() };
         let mut column = n;
-        for (index, output) in problem.outputs.iter().enumerate() {
+        let of_outputs = problem.outputs.par_iter().enumerate().map(|(index, output)| {
             let coefficients = self.solve(index, traces, stretches);
-            let of_traces: Vec<Vec<Part>> = traces
+            let of_traces = traces
                 .par_iter()
                 .zip(&stretches.all)
-                .map(|(trace, stretch)| in_parts(output, index, &coefficients, (trace, stretch), parts))
-                .collect();
+                .map(|(trace, stretch)| in_parts(output, index, &coefficients, (trace, stretch), parts));
+            let of_traces: Vec<Vec<Part>> = of_traces.collect();
+            (coefficients, of_traces)
+        });
+        let of_outputs: Vec<(Vec<f64>, Vec<Vec<Part>>)> = of_outputs.collect();
+        for (output, (coefficients, of_traces)) in problem.outputs.iter().zip(of_outputs) {
             let squares: f64 = of_traces.iter().flatten().map(|part| part.squares).sum();
             let samples = of_traces.iter().flatten().map(|part| part.samples).sum();
             let weight = match output.noise {

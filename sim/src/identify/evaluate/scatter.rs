@@ -17,16 +17,13 @@ use parallax_model::fit::separable::{eliminate, pseudo_inverse};
 use parallax_model::fit::{Best, Bounds, Local, View, bounded_step};
 
 use super::model::PARTS;
+use super::moved::{Message, Moved, Variances, combined};
 use super::stretch::Stretches;
 use super::traces::Trace;
 use super::{Evaluator, wrapped};
 use crate::batch::BatchError;
+use crate::identify::humps::Reading;
 
-/// How far the delay is moved at least for its derivatives, s: less would show how a simulation goes from tick to tick.
-const MOVED: f64 = 2e-3;
-/// How far it is moved, in units of its spread: the outer nodes of Gauss and Hermite's quadrature with three, under which
-/// a normal distribution's moments are right up to the fifth.
-const NODES: f64 = 1.732_050_807_568_877_2;
 /// Most steps.
 const STEPS: usize = 30;
 /// It has converged when a step promises less of −2 log likelihood, …
@@ -49,23 +46,8 @@ pub(in crate::identify) struct Scattered {
     pub(in crate::identify) coefficients: Vec<Vec<f64>>,
     /// Per delay that scatters: its spread, s, and the standard deviation of its square, s².
     pub(in crate::identify) spreads: Vec<(f64, f64)>,
-}
-
-/// What is known of variances.
-#[derive(Debug, Clone)]
-struct Variances {
-    /// Per delay that scatters, s².
-    delays: Vec<f64>,
-    /// Per output.
-    noise: Vec<f64>,
-}
-
-impl Variances {
-    /// The largest share by which one differs from that of another time.
-    fn differ(&self, other: &Variances) -> f64 {
-        let pairs = self.delays.iter().zip(&other.delays).chain(self.noise.iter().zip(&other.noise));
-        pairs.map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f64::max)
-    }
+    /// What every message says of the delay, where one alone scatters.
+    pub(in crate::identify) readings: Vec<Reading>,
 }
 
 /// Everything at one point under some variances.
@@ -77,21 +59,6 @@ struct Seen {
     /// Scores of the variances, delays, then outputs, part by part; and their information.
     scores: Vec<DVector<f64>>,
     information: DMatrix<f64>,
-}
-
-/// What predictions do where a delay that scatters is another one, `[episode][output]`: lists of terms, as in a trace.
-struct Moved {
-    /// By a second of the delay.
-    slopes: Vec<Vec<Vec<f64>>>,
-    /// By its square.
-    bends: Vec<Vec<Vec<f64>>>,
-}
-
-/// One message's outputs: which, and where in their lists.
-struct Message<'p> {
-    outputs: &'p [usize],
-    episode: usize,
-    step: usize,
 }
 
 impl Evaluator<'_> {
@@ -157,6 +124,10 @@ impl Evaluator<'_> {
                 damping = (damping * 100.0).max(1e-4);
             }
         }
+        let readings = match problem.scattered.len() {
+            1 => self.readings(&point, &variances, &now.coefficients)?,
+            _ => Vec::new(),
+        };
         let covariance = now.covariance();
         let spreads =
             variances.delays.iter().enumerate().map(|(j, v)| (v.sqrt(), covariance[(j, j)].max(0.0).sqrt()));
@@ -166,6 +137,7 @@ impl Evaluator<'_> {
             coefficients: now.coefficients,
             local: now.local,
             parts: now.parts,
+            readings,
         })
     }
 
@@ -176,40 +148,8 @@ impl Evaluator<'_> {
         variances: &Variances,
         coefficients: &[Vec<f64>],
     ) -> Result<Seen, BatchError> {
-        let problem = self.problem;
         let stretches = self.stretches(View::whole(1.0));
-        // The point itself, and for each delay three points in a row.
-        let mut points = vec![point.to_vec()];
-        let mut steps = Vec::new();
-        for (&delay, variance) in problem.scattered.iter().zip(&variances.delays) {
-            let coordinate = &problem.coordinates[delay];
-            let width = coordinate.high - coordinate.low;
-            let h = ((NODES * variance.sqrt()).max(MOVED) / width).min(0.5);
-            let middle = point[delay].clamp(h, 1.0 - h);
-            for by in [-h, 0.0, h] {
-                let mut moved = point.to_vec();
-                moved[delay] = middle + by;
-                points.push(moved);
-            }
-            steps.push(h * width);
-        }
-        let mut traces = self.traces(&points, &stretches)?;
-        let others = traces.split_off(1);
-        let mut traces = traces.pop().unwrap_or_default();
-        let moved: Vec<Moved> =
-            steps.iter().zip(others.chunks(3)).map(|(h, three)| moved(three, *h)).collect();
-        // E y: half the variance times the second derivative is added to every term.
-        for (moved, variance) in moved.iter().zip(&variances.delays) {
-            for (trace, bends) in traces.iter_mut().zip(&moved.bends) {
-                for (output, bends) in trace.outputs.iter_mut().zip(bends) {
-                    output
-                        .values
-                        .iter_mut()
-                        .zip(bends)
-                        .for_each(|(value, bend)| *value += 0.5 * variance * bend);
-                }
-            }
-        }
+        let (traces, moved) = self.around(point, variances, &stretches)?;
         // The covariance depends on the coefficients, and they on it: twice is enough.
         let first = self.whitened((&traces, &moved), &stretches, point, variances, coefficients);
         let step = first.linear_step(point.len());
@@ -218,17 +158,6 @@ impl Evaluator<'_> {
             *coefficient += by;
         }
         Ok(self.whitened((&traces, &moved), &stretches, point, variances, &coefficients))
-    }
-
-    /// The messages that are compared, each with all its outputs.
-    fn messages<'s>(&'s self, stretches: &'s Stretches) -> impl Iterator<Item = Message<'s>> {
-        let nodes = self.of_node.iter().filter(|outputs| !outputs.is_empty());
-        nodes.flat_map(move |outputs| {
-            stretches.all.iter().flat_map(move |stretch| {
-                let steps = stretch.steps[outputs[0]].clone();
-                steps.map(move |step| Message { outputs, episode: stretch.episode, step })
-            })
-        })
     }
 
     fn whitened(
@@ -287,10 +216,7 @@ impl Evaluator<'_> {
                 let at = step - stretches.all[episode].steps[index].start;
                 let terms = &predicted.values[at * predicted.width..(at + 1) * predicted.width];
                 let own = &coefficients[index];
-                let prediction = match own.as_slice() {
-                    [] => terms[0],
-                    own => terms.iter().zip(own).map(|(term, c)| term * c).sum(),
-                };
+                let prediction = combined(&predicted.values, own, at);
                 let slopes = &slopes[episode][index][at * n..(at + 1) * n];
                 for (i, slope) in slopes.iter().enumerate() {
                     rows[(k, i)] = *slope;
@@ -299,13 +225,9 @@ impl Evaluator<'_> {
                     rows[(k, columns[index] + i)] = *term;
                 }
                 rows[(k, all)] = wrapped(recorded(index) - prediction, output.wrap);
-                let of = |terms: &[f64]| match own.as_slice() {
-                    [] => terms[at],
-                    own => terms[at * own.len()..].iter().zip(own).map(|(term, c)| term * c).sum(),
-                };
                 for (j, moved) in moved.iter().enumerate() {
-                    towards[(k, j)] = of(&moved.slopes[episode][index]);
-                    bends[(k, j)] = of(&moved.bends[episode][index]);
+                    towards[(k, j)] = combined(&moved.slopes[episode][index], own, at);
+                    bends[(k, j)] = combined(&moved.bends[episode][index], own, at);
                 }
             }
             // What a delay's variance v adds is v g gᵀ + ½ v² b bᵀ, with slopes g and second derivatives b.
@@ -396,25 +318,6 @@ impl Evaluator<'_> {
             information[(k, k)] = 1.0;
         }
         Seen { local, parts, coefficients: coefficients.to_vec(), scores, information }
-    }
-}
-
-/// Slopes and second derivatives of predictions by a delay, from those with one that is by `h` s shorter, the same, and
-/// longer.
-fn moved(three: &[Vec<Trace<'_>>], h: f64) -> Moved {
-    let each = |of: &dyn Fn(f64, f64, f64) -> f64| {
-        let episodes = three[1].iter().enumerate().map(|(episode, middle)| {
-            let outputs = middle.outputs.iter().enumerate().map(|(index, middle)| {
-                let [low, high] = [0, 2].map(|k| &three[k][episode].outputs[index].values);
-                low.iter().zip(&middle.values).zip(high).map(|((a, b), c)| of(*a, *b, *c)).collect()
-            });
-            outputs.collect()
-        });
-        episodes.collect()
-    };
-    Moved {
-        slopes: each(&|low, _, high| (high - low) / (2.0 * h)),
-        bends: each(&|low, middle, high| (low - 2.0 * middle + high) / (h * h)),
     }
 }
 

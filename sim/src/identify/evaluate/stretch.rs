@@ -42,7 +42,7 @@ pub(super) struct Carried {
 /// Pieces are no shorter than so many times the time in which they settle.
 const SETTLED: f64 = 4.0;
 /// Pieces are as long as this many values of the output that has the most, if they settle in that time.
-const VALUES: f64 = 64.0;
+const VALUES: f64 = 32.0;
 
 impl Carried {
     /// How many numbers there are.
