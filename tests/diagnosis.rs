@@ -202,3 +202,20 @@ fn the_battery_of_a_quadrotor_sags() {
     assert_eq!(leading(&report), ["supply_sag@input:u"], "{}", report["summary"]);
     assert!(closed_by_effect(&report) > 0.5, "{}", report["how_far"]);
 }
+
+#[test]
+fn a_tank_that_overflows_is_named_without_being_read() {
+    let Some(data) = data("cascaded-tanks") else { return };
+    let overflows = |report: &Value| {
+        let effects = report["which"][0]["effects"].as_array().unwrap().clone();
+        let own = effects.into_iter().find(|e| e["place"] == "state:upper" && e["name"] == "saturation");
+        own.unwrap_or_else(|| panic!("{}", report["summary"]))["parameters"]["share"]["value"].as_f64()
+    };
+    // Of what the upper tank cannot hold, a part runs into the lower one.
+    let one = diagnosed(&data, None, &["estimation"], &[]);
+    assert!(overflows(&one).is_some_and(|share| share > 0.0), "{}", one["summary"]);
+    let both = diagnosed(&data, None, &["estimation", "validation"], &[]);
+    let share = overflows(&both).unwrap();
+    assert!((0.2..1.0).contains(&share), "{}", both["summary"]);
+    assert!(closed_by_effect(&both) > 0.6, "{}", both["summary"]);
+}
