@@ -289,8 +289,12 @@ const OVERTAKES: f64 = 0.9;
 /// Share of the gap on held-out time below which, with certainty, an answer closes nothing of it.
 const CLOSES_NOTHING: f64 = 0.02;
 
-/// Whether the unknown cause that outweighs the leading answer predicts held-out time worse than no cause at all, and than that
-/// answer, where nothing reaches the noise: what follows a log so well and fails on fresh motion is flexible, and no machine.
+/// Share of the gap on held-out time, below zero, that an unknown cause must add to it with certainty to be refuted: its errors are
+/// twice those without. One that nobody can predict, such as gusts, is no such cause: it is not there when the motion is fresh.
+const ADDS: f64 = -3.0;
+
+/// Whether the unknown cause that outweighs the leading answer spoils predictions of held-out time, which that answer does not,
+/// where nothing reaches the noise: what follows a log so well and fails so badly on fresh motion is flexible, and no machine.
 fn overclaims(
     answers: &posterior::Posterior,
     null: &Fit,
@@ -302,9 +306,8 @@ fn overclaims(
     if answers.answers.is_empty() || alone.shooting_error <= INEXACT {
         return false;
     }
-    let unknown = row(alone);
-    let worse_than = |other: &Row| quantify::closed(other, &unknown, seed).high < 0.0;
-    worse_than(refitted) && worse_than(&row(answers.leader(null)))
+    let adds = |fit: &Fit| quantify::closed(refitted, &row(fit), seed);
+    adds(alone).high < ADDS && adds(answers.leader(null)).value > 0.0
 }
 
 fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) -> Diagnosis {
