@@ -2,6 +2,7 @@
 
 mod causes;
 mod error;
+mod prepare;
 mod screen;
 
 use parallax_model::effect::Effect;
@@ -13,11 +14,9 @@ use crate::answers;
 use crate::bind::bind_all;
 use crate::calibration;
 use crate::detect;
-use crate::equations::MOST_VARIABLES;
 use crate::excitation::{self, Wishes};
 use crate::experiment::Experiment;
 use crate::explain;
-use crate::held_out;
 use crate::hypothesis::EffectAt;
 use crate::innovation::walk;
 use crate::library;
@@ -35,10 +34,10 @@ use crate::search::{self, Fit, INEXACT};
 use crate::setup::Setup;
 use crate::shapley;
 use crate::signature::Nuisance;
-use crate::stop::Stop;
 use crate::unknown;
 use causes::Models;
 pub use error::DiagnosisError;
+pub(crate) use prepare::prepare;
 use screen::{chosen, outgrown, screen};
 
 /// What comes out: the report, what its plots need, and what a corrected system needs.
@@ -199,69 +198,6 @@ fn weigh_all(
     let p_value = detect::by_either(score, answers.log_evidence);
     Ok(Found { setup, null, answers, p_value, not_testable, absorbed, readings })
 }
-
-/// Looks at the data, and fits the nominal model: the null hypothesis.
-pub(crate) fn prepare(
-    equations: Equations,
-    experiment: &Experiment,
-    raw: &Raw,
-    title: &str,
-    options: &Options,
-) -> Result<(Setup, Fit), DiagnosisError> {
-    let system = equations.system();
-    let (states, calibrated) =
-        (system.states.len(), system.parameters.iter().filter(|p| p.calibrate.is_some()).count());
-    // An effect and a small residual must fit beside them.
-    let most = MOST_VARIABLES / 2;
-    if states + calibrated > most {
-        return Err(DiagnosisError::TooMany { file: system.file.clone(), states, calibrated, most });
-    }
-    // Readings that do not follow the plant would be taken for its motion.
-    let least = raw.believed(&equations);
-    let (experiment, _) = raw.cleaned(experiment);
-    let (from, to) = experiment.span();
-    let mut setup = Setup::with_noise(equations, experiment, options.horizon, &least);
-    if setup.horizon < 2.0 * setup.period {
-        let (horizon, period) = (setup.horizon, setup.period);
-        return Err(DiagnosisError::Horizon { title: title.into(), horizon, period });
-    }
-    if setup.output_range.iter().all(|range| range.width() == 0.0) {
-        return Err(DiagnosisError::Still { title: title.into() });
-    }
-    quantify::refine_step(&mut setup);
-    setup.stop = Stop::when(options.stop.clone());
-    if setup.train.is_empty() || setup.test.is_empty() {
-        return Err(DiagnosisError::Short {
-            title: title.into(),
-            span: to - from,
-            horizon: setup.horizon,
-            needed: 12.0 * setup.horizon,
-        });
-    }
-    let (walked, noise) = search::nominal(&setup);
-    setup.share_noise(&walked, &noise);
-    let mut null = search::null(&setup);
-    if let Some(other) = held_out::fairer(&setup, &null) {
-        setup.hold_out(other);
-        null = search::null(&setup);
-    }
-    for _ in 0..NOISE_ROUNDS {
-        if setup.stop.asked() || !setup.share_noise(&null.innovation.pass, &null.innovation.noise) {
-            break;
-        }
-        null = search::null(&setup);
-    }
-    if !null.innovation.minimum.cost.is_finite() {
-        return Err(DiagnosisError::NotFinite {
-            file: setup.equations.system().file.clone(),
-            title: title.into(),
-        });
-    }
-    Ok((setup, null))
-}
-
-/// How often the nominal model is fitted again with each state's share of the process noise that its innovations tell.
-const NOISE_ROUNDS: usize = 2;
 
 /// What the search found, before the conclusions.
 struct Found {

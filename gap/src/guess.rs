@@ -71,7 +71,7 @@ impl Guess {
         let mut known = self.clone();
         let system = equations.system();
         for (i, state) in system.states.iter().enumerate() {
-            let shown = system.outputs.iter().any(|o| o.value.text().trim() == state.name);
+            let shown = system.shown_as(&state.name).is_some();
             if shown || is_rate(equations, i) || !matches!(state.initial, Initial::Free) {
                 continue;
             }
@@ -98,7 +98,7 @@ impl Guess {
         let mut state = vec![0.0; n];
         let mut std = vec![f64::NAN; n];
         for (i, s) in system.states.iter().enumerate() {
-            if let Some(output) = system.outputs.iter().position(|o| o.value.text().trim() == s.name) {
+            if let Some(output) = system.shown_as(&s.name) {
                 let (_, values) = experiment.output(output);
                 let values = noise::unwrapped(&values, experiment.wraps[output]);
                 let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;

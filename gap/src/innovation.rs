@@ -33,6 +33,14 @@ pub struct NoiseModel {
     pub initial: Noise,
 }
 
+impl NoiseModel {
+    /// Whether several states share the process noise.
+    #[must_use]
+    pub fn is_shared(&self) -> bool {
+        self.scale.iter().filter(|scale| **scale > 0.0).count() > 1
+    }
+}
+
 /// A hypothesis fitted by innovation likelihood.
 #[derive(Clone, Debug)]
 pub struct InnovationFit {

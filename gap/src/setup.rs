@@ -230,11 +230,11 @@ impl Setup {
     #[must_use]
     pub fn is_shown(&self, state: usize) -> bool {
         let system = self.equations.system();
-        system.outputs.iter().any(|o| o.value.text().trim() == system.states[state].name)
+        system.shown_as(&system.states[state].name).is_some()
     }
 
-    /// Takes each state's share of the process noise from the innovations of a fit of the nominal model, its `pass`. Gives
-    /// whether there was anything to choose.
+    /// Takes each state's share of the process noise from the innovations of a walk of the nominal model, its `pass` with its
+    /// `noise`. Gives whether that changed any.
     pub fn share_noise(&mut self, pass: &Pass, noise: &Noise) -> bool {
         let model = &mut self.noise;
         let found = pass.refit_scale(&self.state_rate, noise, &model.limits, model.process_floor);

@@ -68,18 +68,17 @@ fn diagnosed(log: &Log) -> Report {
     diagnose(&system, log, &Options::default(), &|_, _| ()).expect("it can be diagnosed").report
 }
 
+/// Of a log of overflowing tanks: the parameter of this name of the limit that is named alone.
+fn of_limit(report: &Report, parameter: &str) -> f64 {
+    let [effect] = &report.which[0].effects[..] else { panic!("{}", report.summary) };
+    assert_eq!(format!("{}@{}", effect.name, effect.place), "saturation@state:upper", "{}", report.summary);
+    effect.parameters[parameter].value
+}
+
 #[test]
 fn a_tank_that_overflows_into_the_next_is_found_with_its_rim_and_share() {
     let report = diagnosed(&record(3, 9.0, 0.6));
-    let effect = &report.which[0].effects[0];
-    assert_eq!(
-        (effect.name.as_str(), effect.place.as_str()),
-        ("saturation", "state:upper"),
-        "{}",
-        report.summary
-    );
-    assert_eq!(report.which[0].effects.len(), 1, "{}", report.summary);
-    let (rim, share) = (effect.parameters["high"].value, effect.parameters["share"].value);
+    let (rim, share) = (of_limit(&report, "high"), of_limit(&report, "share"));
     assert!((rim - 9.0).abs() < 0.2 && (share - 0.6).abs() < 0.05, "{}", report.summary);
     assert!(report.summary.contains("overflows into what it feeds"), "{}", report.summary);
     assert!(report.how_far.closed_by_effect.value > 0.9, "{:?}", report.how_far);
@@ -88,14 +87,7 @@ fn a_tank_that_overflows_into_the_next_is_found_with_its_rim_and_share() {
 #[test]
 fn a_tank_whose_overflow_is_lost_is_clipped() {
     let report = diagnosed(&record(4, 9.0, 0.0));
-    let effect = &report.which[0].effects[0];
-    assert_eq!(
-        (effect.name.as_str(), effect.place.as_str()),
-        ("saturation", "state:upper"),
-        "{}",
-        report.summary
-    );
-    assert!((effect.parameters["high"].value - 9.0).abs() < 0.2, "{}", report.summary);
+    assert!((of_limit(&report, "high") - 9.0).abs() < 0.2, "{}", report.summary);
 }
 
 #[test]

@@ -34,6 +34,8 @@ pub struct BoundEffect {
     pub first: usize,
     /// The values of an effect that is part of the system itself.
     pub fixed: Option<Vec<f64>>,
+    /// The state that takes what overflows, for an effect that lets something overflow.
+    pub feeds: Option<usize>,
 }
 
 /// Equations with effects.
@@ -72,10 +74,14 @@ impl Plant {
         smoothing: Vec<f64>,
     ) -> Self {
         let mut first = 0;
+        let feeds = |effect: Effect, index: usize| {
+            (effect == Effect::SaturationOverflow).then(|| equations.system().fed_by(index).ok()).flatten()
+        };
         let mut bound: Vec<BoundEffect> = effects
             .iter()
             .map(|&(effect, kind, index)| {
-                let bound = BoundEffect { effect, kind, index, first, fixed: None };
+                let feeds = feeds(effect, index);
+                let bound = BoundEffect { effect, kind, index, first, fixed: None, feeds };
                 first += effect.parameters().len();
                 bound
             })
@@ -86,6 +92,7 @@ impl Plant {
             index: own.index,
             first: 0,
             fixed: Some(own.values.clone()),
+            feeds: feeds(own.effect, own.index),
         }));
         let extra = first + residuals.iter().map(|r| r.features.len()).sum::<usize>();
         let extra_states = states::of(&bound);

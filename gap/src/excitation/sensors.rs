@@ -24,7 +24,7 @@ const NOISE: f64 = 0.005;
 #[must_use]
 pub fn missing(setup: &Setup) -> Vec<Sensor> {
     let system = setup.equations.system();
-    let read = |name: &str| system.outputs.iter().any(|output| output.value.text().trim() == name);
+    let read = |name: &str| system.shown_as(name).is_some();
     let states = system.states.iter().zip(&setup.state_range).map(|(s, range)| (&s.name, false, *range));
     let inputs = system.inputs.iter().zip(&setup.input_range).map(|(i, range)| (&i.name, true, *range));
     states

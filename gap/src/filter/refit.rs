@@ -87,9 +87,6 @@ impl Pass {
         process_floor: f64,
     ) -> Vec<f64> {
         let noisy: Vec<usize> = (0..scale.len()).filter(|state| scale[*state] > 0.0).collect();
-        if noisy.len() < 2 {
-            return scale.to_vec();
-        }
         // Logarithms of the states' variances in units of the natural ones.
         let scaled = |logs: &[f64]| -> Vec<f64> {
             let mut scaled = scale.to_vec();

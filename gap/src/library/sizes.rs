@@ -348,9 +348,8 @@ fn unit(setup: &Setup, kind: PlaceKind, index: usize, quantity: Quantity) -> Str
         PlaceKind::Input => setup.experiment.input_units.get(index).cloned().unwrap_or_default(),
         PlaceKind::Output => system.outputs[index].unit.clone(),
         PlaceKind::State => {
-            let name = system.states[index].name.as_str();
-            let shown = system.outputs.iter().find(|o| o.value.text().trim() == name);
-            shown.map(|o| o.unit.clone()).unwrap_or_default()
+            let shown = system.shown_as(&system.states[index].name);
+            shown.map(|output| system.outputs[output].unit.clone()).unwrap_or_default()
         }
         PlaceKind::Parameter => system.parameters[index].unit.clone(),
         _ => String::new(),
@@ -383,7 +382,7 @@ fn joint_unit(setup: &Setup, joint: usize, quantity: Quantity) -> &'static str {
     use Quantity as Q;
     let system = setup.equations.system();
     let position = system.joints[joint].position.text().trim();
-    let read = system.outputs.iter().find(|o| o.value.text().trim() == position).map(|o| o.unit.as_str());
+    let read = system.shown_as(position).map(|output| system.outputs[output].unit.as_str());
     let [rotating, sliding] = match quantity {
         Q::Force => ["N m", "N"],
         Q::ForcePerSpeed | Q::FlexibleDamping => ["N m s/rad", "N s/m"],

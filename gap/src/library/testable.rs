@@ -1,7 +1,6 @@
 //! Why a log or a system cannot show an effect, before any fit.
 
 use parallax_model::effect::{Effect, PlaceKind};
-use parallax_model::system::System;
 
 use crate::hypothesis::EffectAt;
 use crate::readings;
@@ -27,12 +26,11 @@ pub(super) fn testable(setup: &Setup, at: &EffectAt, index: usize) -> Result<(),
             let moves = range.width() > 1e-9 * range.high.abs().max(range.low.abs()).max(1e-9);
             need(moves, "the state never changes in this log")?;
             let system = setup.equations.system();
+            if at.effect == Effect::SaturationOverflow {
+                system.fed_by(index)?;
+            }
             let mut joints = system.joints.iter();
             let held = at.effect == Effect::Saturation;
-            need(
-                at.effect != Effect::SaturationOverflow || system.fed_by(index).is_some(),
-                System::FEEDS_NONE,
-            )?;
             need(
                 !held || joints.all(|joint| joint.position_state != Some(index)),
                 "it is the position of a joint, which an `end_stop` limits",

@@ -168,7 +168,7 @@ impl Plant {
             };
             let held = T::select(high.lt(x), above, held);
             derivatives[bound.index] = held;
-            if overflows && let Some(fed) = self.equations.system().fed_by(bound.index) {
+            if let Some(fed) = bound.feeds {
                 derivatives[fed] += own[1] * (d - held);
             }
         }

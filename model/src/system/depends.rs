@@ -6,9 +6,6 @@ use super::System;
 use super::expression::Expression;
 
 impl System {
-    /// Why [`System::fed_by`] may give nothing, as the end of a sentence.
-    pub const FEEDS_NONE: &str = "no other state, or more than one, takes what flows out of it";
-
     /// Whether a reading of an output depends on any command at once, through no state.
     #[must_use]
     pub fn shows_command(&self, output: usize) -> bool {
@@ -22,10 +19,19 @@ impl System {
         output.is_some_and(|o| self.reach(&o.value).iter().any(|name| self.input(name) == Some(input)))
     }
 
-    /// The state into which another one flows: the only one whose rate depends on it, while its own does not depend on
-    /// that. A joint's position and speed are no stores that flow.
+    /// The output that shows just this expression, such as a state by its name.
     #[must_use]
-    pub fn fed_by(&self, state: usize) -> Option<usize> {
+    pub fn shown_as(&self, expression: &str) -> Option<usize> {
+        self.outputs.iter().position(|output| output.value.text().trim() == expression)
+    }
+
+    /// The state into which another one flows: the only one whose rate depends on it, while its own does not depend on
+    /// that.
+    ///
+    /// # Errors
+    ///
+    /// Why there is none, as the end of a sentence.
+    pub fn fed_by(&self, state: usize) -> Result<usize, &'static str> {
         let moves = |k: usize| {
             let mut joints = self.joints.iter().flat_map(|j| [j.position_state, j.velocity_state]);
             joints.any(|moving| moving == Some(k))
@@ -35,8 +41,14 @@ impl System {
             self.reach(&self.states[of].derivative).contains(name)
         };
         let mut fed = (0..self.states.len()).filter(|other| *other != state && depends(*other, state));
-        let to = fed.next()?;
-        (fed.next().is_none() && !depends(state, to) && !moves(state) && !moves(to)).then_some(to)
+        let to = fed.next().ok_or("no other state takes what flows out of it")?;
+        if fed.next().is_some() {
+            return Err("more than one state takes what flows out of it");
+        }
+        if moves(state) || moves(to) {
+            return Err("a joint's position and velocity are no stores that overflow");
+        }
+        if depends(state, to) { Err("its own rate depends on the state that it feeds") } else { Ok(to) }
     }
 
     /// All names that an expression uses, itself or through named expressions.
@@ -71,13 +83,14 @@ mod tests {
         let line =
             |name: &str, rate: &str| format!("{name} = {{ derivative = \"{rate}\", initial = 0.0 }}\n");
         let cascade = system(&(line("a", "u - out") + &line("b", "out - b")));
-        assert_eq!((cascade.fed_by(0), cascade.fed_by(1)), (Some(1), None));
+        assert_eq!(cascade.fed_by(0), Ok(1));
+        assert_eq!(cascade.fed_by(1), Err("no other state takes what flows out of it"));
         // What presses back is no free outflow.
         let coupled = system(&(line("a", "u - out + b") + &line("b", "out - b")));
-        assert_eq!(coupled.fed_by(0), None);
+        assert_eq!(coupled.fed_by(0), Err("its own rate depends on the state that it feeds"));
         // Of two that take from one, neither is known to take what overflows.
         let forked = system(&(line("a", "u - out") + &line("b", "out - b") + &line("c", "out - c")));
-        assert_eq!(forked.fed_by(0), None);
+        assert_eq!(forked.fed_by(0), Err("more than one state takes what flows out of it"));
         assert!(!cascade.shows(0, 0));
     }
 }

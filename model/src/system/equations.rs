@@ -265,8 +265,8 @@ fn own_effects(system: &System) -> Result<Vec<OwnEffect>, SystemError> {
             let supported = system.joints[index].supports(effect);
             supported.map_err(|reason| bad(format!("it cannot act at {place}: {reason}")))?;
         }
-        if effect == Effect::SaturationOverflow && system.fed_by(index).is_none() {
-            return Err(bad(format!("it cannot overflow at {place}: {}", System::FEEDS_NONE)));
+        if effect == Effect::SaturationOverflow {
+            system.fed_by(index).map_err(|reason| bad(format!("it cannot overflow at {place}: {reason}")))?;
         }
         own.push(OwnEffect { effect, kind: place.kind, index, values });
     }

@@ -12,7 +12,6 @@ use super::evaluate::{Evaluator, Fit, Model, Scattered, wrapped};
 use super::humps::{Component, Two, two_humps};
 use super::location::{Location, Moment, locations};
 use super::problem::Problem;
-use super::spec::Scatter;
 use super::spread::{Part, Spread};
 
 /// The result of an identification.
@@ -299,8 +298,7 @@ pub(super) fn outcome(
 /// The humps of the delay that scatters, where a mixture was asked for and the recordings tell two.
 fn humps(problem: &Problem, found: &Scattered, estimates: &[Estimate]) -> Option<Humps> {
     let (delay, (spread, _)) = (estimates.get(*problem.scattered.first()?)?, found.spreads.first()?);
-    let asked = problem.specification().delays.iter().find(|asked| asked.name == delay.name)?;
-    if asked.scatter != Some(Scatter::Mixture) {
+    if !problem.asks_for_humps() {
         return None;
     }
     let Two { humps: [early, late], covariance, evidence } = two_humps(&found.readings, *spread)?;

@@ -168,6 +168,11 @@ impl Problem {
         &self.specification
     }
 
+    /// Whether one or two humps are told of the delay that scatters, which is the only one then.
+    pub(super) fn asks_for_humps(&self) -> bool {
+        self.specification.delays.iter().any(|delay| delay.scatter == Some(Scatter::Mixture))
+    }
+
     /// The graph with its simulators.
     pub fn graph(&self) -> &Graph {
         &self.graph

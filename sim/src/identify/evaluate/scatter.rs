@@ -46,7 +46,7 @@ pub(in crate::identify) struct Scattered {
     pub(in crate::identify) coefficients: Vec<Vec<f64>>,
     /// Per delay that scatters: its spread, s, and the standard deviation of its square, s².
     pub(in crate::identify) spreads: Vec<(f64, f64)>,
-    /// What every message says of the delay, where one alone scatters.
+    /// What every message says of the delay whose humps are asked for.
     pub(in crate::identify) readings: Vec<Reading>,
 }
 
@@ -124,9 +124,10 @@ impl Evaluator<'_> {
                 damping = (damping * 100.0).max(1e-4);
             }
         }
-        let readings = match problem.scattered.len() {
-            1 => self.readings(&point, &variances, &now.coefficients)?,
-            _ => Vec::new(),
+        let readings = if problem.asks_for_humps() {
+            self.readings(&point, &variances, &now.coefficients)?
+        } else {
+            Vec::new()
         };
         let covariance = now.covariance();
         let spreads =
