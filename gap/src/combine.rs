@@ -307,6 +307,16 @@ fn leaves_nothing(setup: &Setup, fit: &Fit, pool: &[Candidate<'_>]) -> bool {
     others.map(|other| score(setup, fit, &nuisance, other.at)).reduce(|| 0.0, f64::max) < NOTHING
 }
 
+/// Effects by what a score test of the base's innovations promises of them, the most promising first.
+#[must_use]
+pub fn by_promise(setup: &Setup, base: &Fit, nuisance: &Nuisance, effects: &[EffectAt]) -> Vec<EffectAt> {
+    let mut scores: Vec<(f64, &EffectAt)> =
+        effects.par_iter().map(|at| (score(setup, base, nuisance, at), at)).collect();
+    // The sort is stable: of equal effects the library's order holds.
+    scores.sort_by(|a, b| b.0.total_cmp(&a.0));
+    scores.into_iter().map(|(_, at)| at.clone()).collect()
+}
+
 /// How much of the base's squared innovations an effect's signature takes, at most: a score test.
 fn score(setup: &Setup, base: &Fit, nuisance: &Nuisance, at: &EffectAt) -> f64 {
     let at_starts = signature::columns_at_starts(setup, base, at);

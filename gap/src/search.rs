@@ -255,8 +255,9 @@ pub struct Width {
 }
 
 impl Width {
-    /// For all single effects.
-    pub const SINGLES: Width = Width { shortlist: 20, finalists: 12, leading: 0, diverse: true };
+    /// For all single effects, in the order of a score test on innovations: windows whose states are free are blind to a
+    /// spring inside a joint that swings within them.
+    pub const SINGLES: Width = Width { shortlist: 20, finalists: 12, leading: 3, diverse: true };
     /// For an effect beside others, in the order of a score test on innovations: windows are blind to what another start
     /// of each makes good.
     pub const FURTHER: Width = Width { shortlist: 3, finalists: 2, leading: 2, diverse: false };
@@ -461,7 +462,7 @@ fn continue_from(null: &Fit, hypothesis: &Hypothesis, start: &mut [f64]) {
     }
 }
 
-/// Fits all single effects, in parallel; `done` is told of each.
+/// Fits all single effects, in parallel, the first of them to convergence in any case; `done` is told of each.
 #[must_use]
 pub fn singles(setup: &Setup, null: &Fit, effects: &[EffectAt], done: &(dyn Fn(&str) + Sync)) -> Vec<Fit> {
     let hypotheses = effects.iter().map(|at| library::hypothesis(setup, std::slice::from_ref(at))).collect();
