@@ -1,0 +1,88 @@
+//! A pendulum that its motor drives through a spring, read by a noisy sensor: the swing shows in single readings only, and
+//! short windows with free states make it good. Integrated here by small steps.
+
+use std::f64::consts::TAU;
+
+use parallax_gap::diagnosis::{Options, diagnose};
+use parallax_model::system::System;
+use parallax_runtime::recording::log::{Log, Role, Signal};
+
+/// What is believed of it: one mass.
+const SYSTEM: &str = r#"
+format = 1
+name = "pendulum"
+
+[parameters]
+J = { value = 0.02, unit = "kg m^2" }
+mgl = { value = 0.5, unit = "N m", calibrate = [0.4, 0.6] }
+b = { value = 0.03, unit = "N m s/rad", calibrate = [0.0, 0.2] }
+K = { value = 0.5, unit = "N m/V", calibrate = [0.4, 0.6] }
+
+[inputs]
+u = { signal = "voltage" }
+
+[state]
+q = { derivative = "w", initial = "angle" }
+w = { derivative = "(K*u - mgl*sin(q) - b*w)/J" }
+
+[outputs]
+angle = { value = "q", unit = "rad" }
+
+[joints]
+shaft = { position = "q", velocity = "w", inertia = "J", drive = "K*u", load = "-mgl*sin(q)" }
+"#;
+
+const PERIOD: f64 = 0.01;
+const SAMPLES: usize = 2000;
+const NOISE: f64 = 0.0038;
+
+/// A chirp from 0.4 to 10 Hz, held over two readings; the spring has `stiffness` (N m/rad), and a third of the inertia beyond it.
+fn record(seed: u32, stiffness: f64) -> Log {
+    // About normal: twelve uniform numbers.
+    let mut random = seed;
+    let mut uniform = || {
+        random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        f64::from(random) / 4_294_967_296.0
+    };
+    const STEPS: usize = 500;
+    let step = PERIOD / STEPS as f64;
+    let duration = SAMPLES as f64 * PERIOD;
+    let (near, far, damping) = (0.013, 0.007, 0.027);
+    // Of the measured side, and of the motor.
+    let (mut angle, mut speed, mut motor, mut motor_speed, mut voltage) = (0.0_f64, 0.0, 0.0, 0.0, 0.0);
+    let (mut stamps, mut sent, mut commands, mut readings) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    for k in 0..SAMPLES {
+        let time = k as f64 * PERIOD;
+        let stamp = (time * 1e9).round() as i64;
+        if k % 2 == 0 {
+            let growth = 25.0_f64.ln() / duration;
+            voltage = 0.685 * (TAU * 0.4 * (growth * time).exp_m1() / growth).sin();
+            sent.push(stamp);
+            commands.push(voltage);
+        }
+        let noise: f64 = (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
+        stamps.push(stamp);
+        readings.push(angle + NOISE * noise);
+        for _ in 0..STEPS {
+            let spring = stiffness * (motor - angle) + damping * (motor_speed - speed);
+            speed += step * (spring - 0.53 * angle.sin() - 0.025 * speed) / near;
+            motor_speed += step * (0.51 * voltage - spring) / far;
+            angle += step * speed;
+            motor += step * motor_speed;
+        }
+    }
+    let signals = vec![
+        Signal::new("voltage", Role::Command, "V", sent, commands),
+        Signal::new("angle", Role::Measurement, "rad", stamps, readings),
+    ];
+    Log { title: "pendulum".into(), signals, ..Log::default() }
+}
+
+#[test]
+fn a_spring_that_swings_within_the_windows_is_named() {
+    let system = System::parse(SYSTEM, "system.toml").unwrap();
+    let found = diagnose(&system, &record(4, 42.0), &Options::default(), &|_, _| ()).unwrap();
+    let answer = &found.report.which[0];
+    let named: Vec<_> = answer.effects.iter().map(|e| (e.name.as_str(), e.place.as_str())).collect();
+    assert_eq!(named, [("flexibility", "joint:shaft")], "{:#?}", found.report.which);
+}
