@@ -307,11 +307,21 @@ fn leaves_nothing(setup: &Setup, fit: &Fit, pool: &[Candidate<'_>]) -> bool {
     others.map(|other| score(setup, fit, &nuisance, other.at)).reduce(|| 0.0, f64::max) < NOTHING
 }
 
-/// Effects by what a score test of the base's innovations promises of them, the most promising first.
+/// Effects, each with its [signature](signature::columns), by what a score test of the base's innovations promises of them, the
+/// most promising first.
 #[must_use]
-pub fn by_promise(setup: &Setup, base: &Fit, nuisance: &Nuisance, effects: &[EffectAt]) -> Vec<EffectAt> {
-    let mut scores: Vec<(f64, &EffectAt)> =
-        effects.par_iter().map(|at| (score(setup, base, nuisance, at), at)).collect();
+pub fn by_promise(
+    setup: &Setup,
+    base: &Fit,
+    nuisance: &Nuisance,
+    effects: &[EffectAt],
+    columns: &[DMatrix<f64>],
+) -> Vec<EffectAt> {
+    let mut scores: Vec<(f64, &EffectAt)> = effects
+        .par_iter()
+        .zip(columns)
+        .map(|(at, columns)| (score_with(setup, base, nuisance, at, columns), at))
+        .collect();
     // The sort is stable: of equal effects the library's order holds.
     scores.sort_by(|a, b| b.0.total_cmp(&a.0));
     scores.into_iter().map(|(_, at)| at.clone()).collect()
@@ -319,8 +329,13 @@ pub fn by_promise(setup: &Setup, base: &Fit, nuisance: &Nuisance, effects: &[Eff
 
 /// How much of the base's squared innovations an effect's signature takes, at most: a score test.
 fn score(setup: &Setup, base: &Fit, nuisance: &Nuisance, at: &EffectAt) -> f64 {
-    let at_starts = signature::columns_at_starts(setup, base, at);
-    at_starts.iter().map(|columns| score_of(nuisance, columns)).fold(0.0, f64::max)
+    score_with(setup, base, nuisance, at, &signature::columns(setup, base, at))
+}
+
+/// The same where the signature at the first start is known.
+fn score_with(setup: &Setup, base: &Fit, nuisance: &Nuisance, at: &EffectAt, first: &DMatrix<f64>) -> f64 {
+    let further = signature::columns_at_further_starts(setup, base, at);
+    further.iter().map(|columns| score_of(nuisance, columns)).fold(score_of(nuisance, first), f64::max)
 }
 
 fn score_of(nuisance: &Nuisance, columns: &DMatrix<f64>) -> f64 {

@@ -179,7 +179,7 @@ fn weigh_all(
     let (candidates, columns, absorbed) = screen(&setup, &null, &nuisance, candidates, &mut not_testable);
 
     let done = std::sync::atomic::AtomicUsize::new(0);
-    let promising = combine::by_promise(&setup, &null, &nuisance, &candidates);
+    let promising = combine::by_promise(&setup, &null, &nuisance, &candidates, &columns);
     let fits = search::singles(&setup, &null, &promising, &|label| {
         let k = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
         progress(0.05 + 0.45 * k as f64 / candidates.len() as f64, label);

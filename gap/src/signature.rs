@@ -125,16 +125,16 @@ pub fn columns(setup: &Setup, null: &Fit, effect: &EffectAt) -> DMatrix<f64> {
     (1..starts).map(|start| columns_of(setup, null, &hypothesis, start)).find(traces).unwrap_or(first)
 }
 
-/// The same at each of the effect's starts, where it is what it does and not its size that they differ by: a spring inside a
-/// joint is seen at its frequency.
+/// The same at the further starts of an effect, where it is what it does and not its size that they differ by: a spring inside
+/// a joint is seen at its frequency. Nothing for all other effects.
 #[must_use]
-pub fn columns_at_starts(setup: &Setup, null: &Fit, effect: &EffectAt) -> Vec<DMatrix<f64>> {
+pub fn columns_at_further_starts(setup: &Setup, null: &Fit, effect: &EffectAt) -> Vec<DMatrix<f64>> {
     match effect.effect {
         Effect::Flexibility | Effect::FlexibilityFar => {
             let hypothesis = library::hypothesis(setup, &effects(null, effect));
-            (0..FREQUENCIES).map(|start| columns_of(setup, null, &hypothesis, start)).collect()
+            (1..FREQUENCIES).map(|start| columns_of(setup, null, &hypothesis, start)).collect()
         }
-        _ => vec![columns(setup, null, effect)],
+        _ => Vec::new(),
     }
 }
 

