@@ -5,7 +5,10 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tomllib
 
+import numpy as np
+import parallax
 import pytest
 
 from conftest import _program
@@ -31,7 +34,7 @@ def test_from_a_recording_to_a_policy_that_runs(tmp_path, monkeypatch, browser):
     assert abs(found["J"]["value"] / truth["inertia"] - 1) < 0.05
     assert abs(found["K"]["value"] / truth["motor"] - 1) < 0.05
     # Nothing that the task could read before its end says what the machine was.
-    for file in ("machine.toml", "identify.toml", "fitted.toml", "runs/camera-delays.toml"):
+    for file in ("machine.toml", "identify.toml", "fitted.toml", "runs/camera-delays-0.toml"):
         assert str(truth["delay"]) not in (out / file).read_text()
     assert set(told["variants"]) == {"camera-delays", "full-state-predicted"}
     for variant in told["variants"].values():
@@ -68,7 +71,18 @@ def test_from_a_recording_to_a_policy_that_runs(tmp_path, monkeypatch, browser):
     assert more["identified"] == told["identified"]
     assert (out / "runs" / "camera-delays-0.mcap").stat().st_mtime_ns == first
     variant = more["variants"]["camera-delays"]
-    assert len(variant["held"]) == 2
+    assert len(variant["held"]) == len(variant["back"]) == 2
+    # The first run begins as the recording did; in the second one it is let go elsewhere, and tapped.
+    assert variant["back"][0] is None
+    begun = [tomllib.loads((out / f"runs/camera-delays-{number}.toml").read_text()) for number in range(2)]
+    worlds = [next(node for node in graph["node"] if node["name"] == "world") for graph in begun]
+    assert not worlds[0].get("parameters")
+    tap = worlds[1]["parameters"]["taps"][0]
+    world = parallax.load(out / "runs/camera-delays-1.mcap")["world"]
+    assert abs(world["angle"][0] - worlds[1]["parameters"]["angle"]) < 0.1
+    before, after = np.searchsorted(world["stamp"], [tap["time"] - 1e-3, tap["time"] + 6e-3])
+    kick = world["speed"][after] - world["speed"][before - 1]
+    assert abs(kick - tap["impulse"] / truth["inertia"]) < 1.0
     assert variant["held"][0] == told["variants"]["camera-delays"]["held"][0]
     stood = sum(share >= 0.9 for share in variant["held"])
     assert (variant["standing"]["runs"], variant["standing"]["of"]) == (stood, 2)
@@ -99,7 +113,7 @@ def test_a_quadrotor_from_a_recording_to_a_flight(tmp_path, monkeypatch, browser
             low, high = intervals[name]
             assert low <= truth[name] <= high
             assert high - low > 0.01
-    for file in ("machine.toml", "identify.toml", "fitted.toml", "runs/delay-0.5.toml"):
+    for file in ("machine.toml", "identify.toml", "fitted.toml", "runs/delay-0.5-0.toml"):
         assert str(truth["actuator"]) not in (out / file).read_text()
     (flight,) = told["variants"].values()
     assert len(flight["speed"]) == len(flight["error"]) == 1

@@ -10,6 +10,7 @@ use std::f64::consts::PI;
 use parallax_runtime::node::{Node, NodeContext, NodeError, Port, Step};
 use parallax_runtime::registry::NodeKind;
 use parallax_runtime::time::{Nanos, from_seconds, to_seconds};
+use serde::Deserialize;
 
 use super::hidden::{HiddenEffect, Machine};
 use super::messages::{Voltage, WorldState};
@@ -39,10 +40,59 @@ pub(super) const WEIGHT: f64 = 0.0207;
 pub(super) fn kind(
     effect: impl Fn(&NodeContext) -> Result<HiddenEffect, NodeError> + Send + Sync + 'static,
 ) -> NodeKind {
-    NodeKind::new(move |context| Ok(World::new(effect(context)?)))
+    NodeKind::new(move |context| Ok(World::new(effect(context)?).begun(&Settings::read(context)?)))
         .input(MOTOR)
         .initial(&WorldState { angle: PI, speed: 0.0, stamp: 0.0 })
         .stand_in()
+}
+
+/// What may stand in a graph: what people do with the machine. What it is stays hidden.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// The angle from upright at the run's start, rad.
+    pub angle: f64,
+    /// The speed at the run's start, rad/s.
+    pub speed: f64,
+    /// At most [`MOST_TAPS`], in any order.
+    pub taps: Vec<Tap>,
+}
+
+/// A tap with a finger, too short for anything to move meanwhile.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Tap {
+    /// When, s from the run's start; after it.
+    pub time: f64,
+    /// The impulse about the shaft, N m s: it changes the speed by itself over the moment of inertia.
+    pub impulse: f64,
+}
+
+/// The most taps of a run: a world is copied whenever it is looked at.
+pub const MOST_TAPS: usize = 8;
+
+impl Default for Settings {
+    /// It hangs still, and nobody touches it.
+    fn default() -> Self {
+        Self { angle: PI, speed: 0.0, taps: Vec::new() }
+    }
+}
+
+impl Settings {
+    fn read(context: &NodeContext) -> Result<Self, NodeError> {
+        let settings: Self = context.parameters()?;
+        if settings.taps.len() > MOST_TAPS {
+            let count = settings.taps.len();
+            return Err(context.parameter_error(format!("`taps` has {count} entries; at most {MOST_TAPS}")));
+        }
+        if let Some(tap) = settings.taps.iter().find(|tap| tap.time.is_nan() || tap.time <= 0.0) {
+            return Err(context.parameter_error(format!(
+                "a tap's `time` is {}: it must come after the run's start, 0 s",
+                tap.time
+            )));
+        }
+        Ok(settings)
+    }
 }
 
 /// The world.
@@ -53,6 +103,17 @@ impl World {
     /// A pendulum that hangs still at the run's start, with one hidden effect.
     pub fn new(effect: HiddenEffect) -> Self {
         Self(StandIn::new(Pendulum::new(effect, PI, 0.0)))
+    }
+
+    /// The same one, with other hands on it.
+    fn begun(self, settings: &Settings) -> Self {
+        let mut pendulum = self.0.at(0);
+        (pendulum.angle, pendulum.speed) = (settings.angle, settings.speed);
+        for (own, tap) in pendulum.taps.iter_mut().zip(&settings.taps) {
+            *own = (from_seconds(tap.time), tap.impulse);
+        }
+        pendulum.taps.sort_by_key(|(time, _)| *time);
+        Self(StandIn::new(pendulum))
     }
 }
 
@@ -76,11 +137,13 @@ struct Pendulum {
     command: f64,
     /// What a lag has let through of it so far, V.
     lagged: f64,
+    /// When somebody taps it, and how hard, N m s; in order, those at time 0 are none.
+    taps: [(Nanos, f64); MOST_TAPS],
 }
 
 impl Pendulum {
     fn new(effect: HiddenEffect, angle: f64, speed: f64) -> Self {
-        Self { effect, time: 0, angle, speed, command: 0.0, lagged: 0.0 }
+        Self { effect, time: 0, angle, speed, command: 0.0, lagged: 0.0, taps: [(0, 0.0); MOST_TAPS] }
     }
 
     /// Where the camera's mark is, rad.
@@ -100,10 +163,7 @@ impl Pendulum {
             HiddenEffect::Machine(Machine { viscous, .. }) => viscous,
             _ => VISCOUS,
         };
-        let (inertia, motor) = match self.effect {
-            HiddenEffect::Machine(Machine { inertia, motor, .. }) => (inertia, motor),
-            _ => (INERTIA, MOTOR_CONSTANT),
-        };
+        let (inertia, motor) = self.body();
         let weight = match self.effect {
             HiddenEffect::Weight { mgl } => mgl,
             _ => WEIGHT,
@@ -119,6 +179,28 @@ impl Pendulum {
         self.speed = if free.abs() <= loss { 0.0 } else { free - loss.copysign(free) };
 
         self.angle += 0.5 * h * self.speed;
+    }
+
+    /// Moment of inertia, kg m², and motor constant, N m/A.
+    fn body(&self) -> (f64, f64) {
+        match self.effect {
+            HiddenEffect::Machine(Machine { inertia, motor, .. }) => (inertia, motor),
+            _ => (INERTIA, MOTOR_CONSTANT),
+        }
+    }
+
+    /// Moves to a time at which nobody has tapped it before.
+    fn swing(&mut self, until: Nanos) {
+        if until <= self.time {
+            return;
+        }
+        let span = to_seconds(until - self.time);
+        let steps = (span / STEP).ceil().max(1.0);
+        let h = span / steps;
+        for _ in 0..steps as u64 {
+            self.step(h);
+        }
+        self.time = until;
     }
 
     /// The voltage that acts on the motor during a step, on average.
@@ -164,16 +246,14 @@ impl StandInMachine for Pendulum {
     }
 
     fn advance(&mut self, until: Nanos) {
-        if until <= self.time {
-            return;
+        let since = self.time;
+        for (time, impulse) in self.taps {
+            if since < time && time <= until {
+                self.swing(time);
+                self.speed += impulse / self.body().0;
+            }
         }
-        let span = to_seconds(until - self.time);
-        let steps = (span / STEP).ceil().max(1.0);
-        let h = span / steps;
-        for _ in 0..steps as u64 {
-            self.step(h);
-        }
-        self.time = until;
+        self.swing(until);
     }
 }
 

@@ -10,7 +10,7 @@ from ..graph import Graph
 from .graphs import NONE, edge, ideal, node
 from .pendulum_identify import Seen
 
-__all__ = ["deployed", "filters", "recorded", "simulated"]
+__all__ = ["begun", "deployed", "filters", "recorded", "simulated"]
 
 PICTURES = {"film": 50.0, "side_film": 25.0}
 """Pictures a second of each camera; a recording holds all of them, 1.6 MB for each second of 50."""
@@ -94,6 +94,14 @@ def deployed(
         )
         edges += [{**edge, "to": name} for edge in heard]
     return copy.deepcopy({**spec, "connection": edges})
+
+
+def begun(spec: Mapping[str, Any], hands: Mapping[str, Any]) -> dict[str, Any]:
+    """The same graph with the world as `hands` hold it at first and tap it later: see `parallax_nodes`'
+    `pendulum::world::Settings`."""
+    held = copy.deepcopy(dict(spec))
+    node(held, "world").update(parameters=dict(hands))
+    return held
 
 
 def filters(identified: Mapping[str, Any], noise: float, ahead: float) -> dict[str, dict[str, Any]]:

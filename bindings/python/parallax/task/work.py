@@ -216,7 +216,8 @@ class Work:
 
     def deploy(self, name: str, spec: Mapping[str, Any], number: int) -> Recording:
         """Runs a graph with a policy on the machine, in real time."""
-        graph, path = self.written(f"runs/{name}", spec), self.out / "runs" / f"{name}-{number}.mcap"
+        graph = self.written(f"runs/{name}-{number}", spec)
+        path = graph.with_suffix(".mcap")
         # It is made again where its graph is another one: a filter may have got other parameters.
         what = f"{path.stem} of {hashlib.sha256(graph.read_bytes()).hexdigest()}"
         if not (self._has(what) and path.exists()):

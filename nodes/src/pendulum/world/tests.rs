@@ -95,6 +95,39 @@ fn effects_on_the_voltage_change_it_as_their_formula_says() {
     assert_eq!(World::new(HiddenEffect::Bias { bias: 0.05 }).0.at(0).mark(), PI + 0.05);
 }
 
+#[test]
+fn it_begins_and_is_tapped_as_the_graph_says() {
+    let parameters = r#"{"angle": 0.3, "speed": -1.0, "taps": [{"time": 0.25, "impulse": 4e-4}, {"time": 0.05, "impulse": -1e-4}]}"#;
+    let context = |text: &str| NodeContext {
+        name: "world".into(),
+        rate: 200.0,
+        seed: 1,
+        parameters: serde_json::from_str(text).expect("a table"),
+    };
+    let settings = Settings::read(&context(parameters)).expect("settings");
+    let world = World::new(HiddenEffect::None).begun(&settings);
+    assert_eq!((world.0.at(0).angle, world.0.at(0).speed), (0.3, -1.0));
+    for (tap, impulse) in [(50 * MS, -1e-4), (250 * MS, 4e-4)] {
+        let (before, after) = (world.0.at(tap - 1), world.0.at(tap));
+        assert!((after.speed - before.speed - impulse / INERTIA).abs() < 1e-6, "at {tap}");
+        assert!((after.angle - before.angle).abs() < 1e-7);
+    }
+    // Whether it was looked at in between, or told something, makes no other tap of it.
+    let mut told = world.clone();
+    told.0.command(50 * MS, Voltage::default());
+    told.0.command(260 * MS, Voltage::default());
+    assert!((told.0.at(300 * MS).speed - world.0.at(300 * MS).speed).abs() < 1e-6);
+
+    for (text, says) in [
+        (r#"{"angel": 1.0}"#, "angel"),
+        (r#"{"taps": [{"time": 0.0, "impulse": 1e-4}]}"#, "after the run's start"),
+        (r#"{"taps": [{"time": 1.0}]}"#, "impulse"),
+    ] {
+        let error = Settings::read(&context(text)).expect_err("wrong").to_string();
+        assert!(error.contains(says) && error.contains("world"), "{error}");
+    }
+}
+
 proptest! {
     /// A command counts from its stamp, however late it is taken and however often the world was looked at before.
     #[test]
