@@ -8,9 +8,9 @@ import sys
 import tomllib
 
 import numpy as np
-import parallax
 import pytest
 
+import parallax
 from conftest import _program
 from pages import check
 
@@ -80,9 +80,10 @@ def test_from_a_recording_to_a_policy_that_runs(tmp_path, monkeypatch, browser):
     tap = worlds[1]["parameters"]["taps"][0]
     world = parallax.load(out / "runs/camera-delays-1.mcap")["world"]
     assert abs(world["angle"][0] - worlds[1]["parameters"]["angle"]) < 0.1
-    before, after = np.searchsorted(world["stamp"], [tap["time"] - 1e-3, tap["time"] + 6e-3])
-    kick = world["speed"][after] - world["speed"][before - 1]
-    assert abs(kick - tap["impulse"] / truth["inertia"]) < 1.0
+    changes = np.diff(world["speed"])
+    at = np.searchsorted(world["stamp"], tap["time"]) - 1
+    kick = changes[at] - 0.5 * (changes[at - 1] + changes[at + 1])
+    assert abs(kick - tap["impulse"] / truth["inertia"]) < 0.7
     assert variant["held"][0] == told["variants"]["camera-delays"]["held"][0]
     stood = sum(share >= 0.9 for share in variant["held"])
     assert (variant["standing"]["runs"], variant["standing"]["of"]) == (stood, 2)

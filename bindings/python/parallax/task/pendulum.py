@@ -287,15 +287,21 @@ def _variants(result: Result) -> str:
         ]
         for name, told in result.variants.items()
     ]
-    return table(["variant", "", "upright", "after it first stood", "after a tap", f"{STANDS:.0%} of that, or more"], shares)
+    return table(
+        ["variant", "", "upright", "after it first stood", "after a tap", f"{STANDS:.0%} of that, or more"], shares
+    )
 
 
 def _several(values: Sequence[float], form: str) -> str:
     """Few values one by one, many by their median, least and most."""
-    words = ["never" if math.isinf(value) else form.format(value) for value in sorted(values)]
-    if len(words) <= 5:
-        return ", ".join(words)
-    return f"{words[len(words) // 2]} ({words[0]} to {words[-1]})"
+
+    def word(value: float) -> str:
+        return "never" if math.isinf(value) else form.format(value)
+
+    if len(values) <= 5:
+        return ", ".join(map(word, values))
+    ordered = sorted(values)
+    return f"{word(ordered[len(ordered) // 2])} ({word(ordered[0])} to {word(ordered[-1])})"
 
 
 def _stands(told: Mapping[str, Any]) -> str:

@@ -76,7 +76,9 @@ def quadrotor(options: Options = DEFAULTS) -> Result:
         told: dict[str, Any] = {"about": variant.about, "radius": variant.radius, "delays": variant.delays}
         simulated = work.simulate(name, spec)
         told["simulated_speed"], told["simulated_error"] = _followed(simulated, variant.radius)
-        flights = [work.deploy(name, graphs.deployed(policy, variant.radius), number) for number in range(options.runs)]
+        flights = [
+            work.deploy(name, graphs.deployed(policy, variant.radius, number), number) for number in range(options.runs)
+        ]
         every = [_followed(flight, variant.radius) for flight in flights]
         told["speed"], told["error"] = ([float(pair[k]) for pair in every] for k in (0, 1))
         work.result.variants[name] = told
@@ -94,7 +96,7 @@ def quadrotor(options: Options = DEFAULTS) -> Result:
         [],
         [
             f"<p>Means from {SETTLING:g} s on: speed along the circle, and distance from it. Each number of the "
-            "machine is a run.</p>",
+            "machine is a run; each run after the first begins elsewhere on the circle, up to 0.15 m beside it.</p>",
             _table_3(result),
             _paths(paths, chosen),
         ],

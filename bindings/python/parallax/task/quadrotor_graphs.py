@@ -6,6 +6,8 @@ import copy
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from .graphs import NONE, edge, ideal, node
 
 __all__ = ["IDENTIFY", "SENSED", "deployed", "recorded", "simulated"]
@@ -75,10 +77,16 @@ def recorded() -> dict[str, Any]:
     return {"name": "quadrotor", "supervisor": "agent", "node": nodes, "connection": edges}
 
 
-def deployed(policy: str, radius: float) -> dict[str, Any]:
-    """The machine with a policy in the agent's place; it starts on the circle."""
+def deployed(policy: str, radius: float, number: int = 0) -> dict[str, Any]:
+    """The machine with a policy in the agent's place. It starts on the circle; in every run but the first somewhere
+    else on it, up to 0.15 m beside it."""
     spec = recorded()
-    node(spec, "world")["parameters"] = {"position": [radius, 0.0, 1.0]}
+    place = [radius, 0.0, 1.0]
+    if number > 0:
+        turn, out, up = np.random.default_rng([number, 0x7A9]).uniform(-1.0, 1.0, 3)
+        away = radius + 0.15 * out
+        place = [float(away * np.cos(np.pi * turn)), float(away * np.sin(np.pi * turn)), float(1.0 + 0.15 * up)]
+    node(spec, "world")["parameters"] = {"position": place}
     node(spec, "agent").update(kind="quadrotor/policy", parameters={"file": policy})
     edge(spec, "mocap", "agent")["port"] = "observation"
     return spec
