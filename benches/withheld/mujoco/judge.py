@@ -31,7 +31,7 @@ def refit(case: Case, seen: np.ndarray, noise: np.ndarray, other: Cause | None, 
     ranges = dict(free)
     first = {name: case.real[name] for name in free}
     for key, value in other.parameters.items() if other else ():
-        ranges[f"cause {key}"] = (0.0, math.inf) if other.kind in ONE_SIDED else (-math.inf, math.inf)
+        ranges[f"cause {key}"] = (1e-6, math.inf) if other.kind in ONE_SIDED else (-math.inf, math.inf)
         first[f"cause {key}"] = value
 
     def error(at: dict[str, float]) -> np.ndarray:
