@@ -40,7 +40,7 @@ def refit(case: Case, seen: np.ndarray, noise: np.ndarray, other: Cause | None, 
         try:
             shown = replace(case, real=real, causes=own).readings()
         except ValueError:
-            # A body without mass: MuJoCo refuses it, and so does the fit.
+            # A body without mass, or a motion without bounds: the fit goes no such way.
             return np.full(seen.size, 1e9)
         return ((seen - shown) / noise[:, None]).ravel()
 
@@ -93,7 +93,7 @@ def judge(case: Case, noise: np.ndarray, random: Random) -> tuple[float, list[st
             try:
                 shown = replace(held, causes=[other]).readings()
             except ValueError:
-                # A body without mass, which MuJoCo refuses, is like nothing.
+                # A body without mass, or a motion without bounds, is like nothing.
                 break
             own = ((shown - plain) / noise[:, None]).ravel()
             own -= inside @ (inside.T @ own)

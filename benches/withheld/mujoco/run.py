@@ -20,6 +20,10 @@ DURATION = 20.0
 """Length of a recording, s."""
 
 
+class Diverged(ValueError):
+    """The motion left all bounds: MuJoCo began anew on the way."""
+
+
 def excitation(machine: Machine, size: float, random: Random) -> np.ndarray:
     """A command at every tick: sines, steps or a sweep."""
     ticks = int(DURATION * COMMANDS)
@@ -168,6 +172,9 @@ class Case:
         first = np.zeros(mujoco.mj_stateSize(own, mujoco.mjtState.mjSTATE_FULLPHYSICS))
         mujoco.mj_getState(own, data, first, mujoco.mjtState.mjSTATE_FULLPHYSICS)
         states, _ = rollout.rollout(own, data, first[None], force[None], persistent_pool=False)
+        # The first number of a state is its time: MuJoCo sets a simulation back that has become unstable.
+        if not abs(states[0, -1, 0] - DURATION) < STEP:
+            raise Diverged(f"{machine.name} with {[cause.label for cause in self.causes]}")
         at = np.concatenate([np.zeros((1, own.nq)), states[0, :, 1 : 1 + own.nq]])
         if bends:
             at = at.sum(axis=1, keepdims=True)

@@ -27,9 +27,12 @@ import numpy as np
 from causes import Random, causes, draw
 from judge import LEAST, judge
 from machines import MACHINES
-from run import COMMANDS, READINGS, Case, excitation
+from run import COMMANDS, READINGS, Case, Diverged, excitation
 
 TRIES = 20
+"""How often a cause that leaves no trace, or with which the machine runs away, is drawn."""
+SOFT = {"end_stop": "stiffness"}
+"""What is not compared with what a diagnosis finds."""
 REPORTED = 1 << 63
 """Seeds of reported runs have this bit, those of development do not."""
 
@@ -95,9 +98,14 @@ def make(which_machine: int, which: int | None, seed: int, folder: Path) -> dict
         kind, place = causes(machine)[which]
         for _ in range(TRIES):
             case = replace(case, causes=[draw(machine, kind, place, random)])
-            worth, class_ = judge(case, noise, random)
+            try:
+                worth, class_ = judge(case, noise, random)
+            except Diverged:
+                continue
             if worth >= LEAST:
                 break
+        else:
+            raise RuntimeError(f"{kind}@{place} of {machine.name} left no trace in {TRIES} draws")
     seen = case.readings()
     seen = seen + noise[:, None] * random.standard_normal(seen.shape)
     write(case, seen, noise, bool(random.random() < 0.5), folder)
@@ -106,7 +114,8 @@ def make(which_machine: int, which: int | None, seed: int, folder: Path) -> dict
             "name": cause.kind,
             "place": cause.place,
             "form": "MuJoCo's own" if cause.place.startswith("joint") else "before and after MuJoCo",
-            "parameters": cause.parameters,
+            # Within a soft stop MuJoCo scales all other forces as well: its stiffness is not that of a spring.
+            "parameters": {key: value for key, value in cause.parameters.items() if key != SOFT.get(cause.kind)},
         }
         for cause in case.causes
     ]

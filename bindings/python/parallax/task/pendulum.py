@@ -27,7 +27,7 @@ from . import pendulum_graphs as graphs
 from .page import figure, table, write_page
 from .pendulum_identify import CAMERAS, TERMS, Seen, specification
 from .poses import poses
-from .work import STANDS, Options, Result, Work, standing
+from .work import STANDS, Options, Result, Work, chances, standing
 
 __all__ = ["DEFAULTS", "VARIANTS", "Variant", "pendulum"]
 
@@ -178,7 +178,7 @@ def _hands(number: int, seconds: float) -> dict[str, Any]:
     variants, and nothing in the first run. A tap of 1.6e-4 N m s changes the speed by about 1 rad/s."""
     if number == 0:
         return {}
-    random = np.random.default_rng([number, 0x7A9])
+    random = chances(number)
     tap = float(random.choice([-1.0, 1.0]) * random.uniform(1.6e-4, 6.4e-4))
     return {
         "angle": float(random.uniform(-math.pi, math.pi)),

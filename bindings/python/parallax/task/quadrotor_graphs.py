@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from .graphs import NONE, edge, ideal, node
+from .work import chances
 
 __all__ = ["IDENTIFY", "SENSED", "deployed", "recorded", "simulated"]
 
@@ -83,7 +84,7 @@ def deployed(policy: str, radius: float, number: int = 0) -> dict[str, Any]:
     spec = recorded()
     place = [radius, 0.0, 1.0]
     if number > 0:
-        turn, out, up = np.random.default_rng([number, 0x7A9]).uniform(-1.0, 1.0, 3)
+        turn, out, up = chances(number).uniform(-1.0, 1.0, 3)
         away = radius + 0.15 * out
         place = [float(away * np.cos(np.pi * turn)), float(away * np.sin(np.pi * turn)), float(1.0 + 0.15 * up)]
     node(spec, "world")["parameters"] = {"position": place}

@@ -19,7 +19,7 @@ from ..graph import Graph
 from ..recording import Recording, load
 from ..train import PPO, GraphEnvironment, train
 
-__all__ = ["STANDS", "Options", "Result", "Work", "standing"]
+__all__ = ["STANDS", "Options", "Result", "Work", "chances", "standing"]
 
 SECRET = "PARALLAX_HIDDEN_SEED"
 """The variable of the environment from which the machine's processes, and nothing else, draw what it is."""
@@ -259,6 +259,11 @@ def standing(shares: list[float]) -> dict[str, Any]:
     middle, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
     interval = [max(0.0, (middle - half) / (1 + z * z / n)), min(1.0, (middle + half) / (1 + z * z / n))]
     return {"runs": good, "of": n, "interval": interval}
+
+
+def chances(number: int) -> np.random.Generator:
+    """What happens by chance in a run of this number: the same for every variant."""
+    return np.random.default_rng([number, 0x7A9])
 
 
 def node_statistics(recording: Recording) -> dict[str, dict[str, float]]:
