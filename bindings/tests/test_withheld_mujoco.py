@@ -57,7 +57,11 @@ def test_the_command_line_diagnoses_and_scores_it(run):
     assert detected == {name: each["answer"]["set"] == "single" for name, each in cases.items()}
 
 
-def test_a_folder_that_is_there_is_left_alone(run):
+def test_wrong_words_are_told(run, tmp_path):
+    done = truth("--singles", 0, "--nulls", 0, "--out", tmp_path / "none")
+    assert done.returncode == 2
+    assert "no case is asked for" in done.stderr
+    assert not (tmp_path / "none").exists()
     done = truth("--singles", 1, "--nulls", 0, "--out", run[0])
     assert done.returncode == 2
     assert "there already" in done.stderr

@@ -137,6 +137,8 @@ def main() -> int:
     parser.add_argument("--out", type=Path, required=True, help="the run's folder; it must not be there yet")
     parser.add_argument("--dev-seed", type=int, default=None, help="a seed for development; without it one is drawn")
     given = parser.parse_args()
+    if min(given.singles, given.nulls) < 0 or given.singles + given.nulls == 0:
+        parser.error("no case is asked for; state --singles or --nulls, such as --singles 10")
     if given.out.exists():
         parser.error(f"{given.out} is there already; name another --out")
     development = given.dev_seed is not None
