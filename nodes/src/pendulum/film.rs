@@ -7,6 +7,7 @@ use parallax_runtime::data::{DataNode, DataSpace};
 use parallax_runtime::image::{Encoding, Image};
 use parallax_runtime::node::{NodeContext, NodeError, Port, Step};
 use parallax_runtime::registry::NodeKind;
+use parallax_runtime::time::to_seconds;
 use rand::Rng;
 use serde::Deserialize;
 
@@ -74,6 +75,12 @@ fn wall(index: usize, [right, up]: [f64; 2]) -> [f64; 3] {
     }
 }
 
+/// The angle at a time, s, shortly after the world told of itself: a camera sees what is there when it looks, and that it
+/// woke up late is no delay of what it sees.
+fn angle_at(world: &WorldState, time: f64) -> f64 {
+    world.angle + world.speed * (time - world.stamp)
+}
+
 /// How much of a pixel lies within a distance of a line or a point, smoothly over one pixel.
 fn cover(distance: f64, radius: f64) -> f64 {
     (radius + 0.5 - distance).clamp(0.0, 1.0)
@@ -124,9 +131,20 @@ impl DataNode for Film {
     type Output = Image;
 
     fn step(&mut self, step: &Step<'_>, data: &mut DataSpace<'_>) -> Result<Image, NodeError> {
-        let angle = step.latest(WORLD).message.angle;
         let image = Image::new(WIDTH as u32, HEIGHT as u32, Encoding::Rgb8);
-        self.draw(angle, data.take(image.bytes())?);
+        self.draw(angle_at(&step.latest(WORLD).message, to_seconds(step.start)), data.take(image.bytes())?);
         Ok(image)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_camera_that_looks_late_shows_the_pendulum_where_it_is_then() {
+        let world = WorldState { angle: 3.0, speed: -8.0, stamp: 1.5 };
+        assert_eq!(angle_at(&world, 1.5), 3.0);
+        assert!((angle_at(&world, 1.5005) - 2.996).abs() < 1e-12);
     }
 }
