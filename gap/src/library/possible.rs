@@ -27,6 +27,10 @@ const LONGEST: f64 = 0.9;
 /// Share of time that a clipped state must be clear of its limits.
 const INSIDE: f64 = 0.1;
 
+/// Share of time for which a state that nobody reads must be at its limits: where it begins is unknown, so that the first readings
+/// throw it about, and a limit that holds it there is none of the machine.
+const AT_LIMIT: f64 = 0.005;
+
 /// How far from a limit a state is clear of it, as a share of its range.
 const CLEAR: f64 = 0.01;
 
@@ -67,7 +71,9 @@ pub fn is_possible(setup: &Setup, fit: &Fit) -> bool {
                 let went = pass.state.iter().skip(index).step_by(pass.states().max(1));
                 let clear = CLEAR * setup.state_range[index].width();
                 let inside = went.clone().filter(|x| **x > low + clear && **x < high - clear).count();
-                inside as f64 >= INSIDE * went.count() as f64
+                let count = went.count() as f64;
+                let reached = count - inside as f64 >= AT_LIMIT * count || setup.is_shown(index);
+                reached && inside as f64 >= INSIDE * count
             }
             (Effect::CoulombDahl, _) => {
                 let deflection = fit.hypothesis.fitted.iter().position(|f| f.name == "deflection");
