@@ -69,9 +69,10 @@ pub fn combinations<'a>(
         if setup.stop.leaves_out(|| SEVERAL.into()) {
             break;
         }
-        let mut base = grown(setup, null, base.clone(), &pool, judge);
+        let (mut base, again) = grown(setup, null, base.clone(), &pool, judge);
+        found.extend(again);
         if let Some(other) = exchanged(setup, null, &base, fits, (&pool, forms), judge) {
-            base = grown(setup, null, other, &pool, judge);
+            (base, _) = grown(setup, null, other, &pool, judge);
         }
         if setup.stop.asked() {
             return found;
@@ -113,17 +114,33 @@ fn restarted(setup: &Setup, null: &Fit, fit: &Fit, fits: &[Fit], judge: &Judge) 
     again.filter(|single| library::is_possible(setup, single)).collect()
 }
 
-/// A fit with further effects, one by one, as long as they are worth it.
-fn grown(setup: &Setup, null: &Fit, mut base: Fit, pool: &[Candidate<'_>], judge: &Judge) -> Fit {
+/// A fit with further effects, one by one, as long as they are worth it; and what it began with, where that is fitted better from
+/// where it is beside another effect: on its own way there it stuck, and any other would have paid for the rest of the way.
+fn grown(
+    setup: &Setup,
+    null: &Fit,
+    mut base: Fit,
+    pool: &[Candidate<'_>],
+    judge: &Judge,
+) -> (Fit, Option<Fit>) {
+    let mut again = None;
     while base.hypothesis.effects.len() < MOST && !setup.stop.leaves_out(|| SEVERAL.into()) {
         let Some(next) = extend(setup, &base, pool, judge) else { break };
+        if base.hypothesis.effects.len() == 1 && again.is_none() {
+            let single = fit_part(setup, null, base.hypothesis.clone(), &next);
+            if judge.cost(&single) < judge.cost(&base) - EVEN && library::is_possible(setup, &single) {
+                again = Some(single.clone());
+                base = single;
+                continue;
+            }
+        }
         let complete = || leaves_nothing(setup, &next, pool);
         if !judge.is_worth_or(&next, &base, complete) || !judge.is_worth(&next, null) {
             break;
         }
         base = next;
     }
-    base
+    (base, again)
 }
 
 /// Where the noise is not reached: the best combination with another effect, or another form, in the place of one of
@@ -267,7 +284,9 @@ fn extend(setup: &Setup, base: &Fit, pool: &[Candidate<'_>], judge: &Judge) -> O
         })
         .collect();
     scores.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(b.1)));
-    let promising = scores.into_iter().filter(|(score, ..)| *score > WORTH).take(ADDED);
+    // Where the noise is not reached, the innovations are ruled by what all lack: there the windows decide.
+    let open = base.shooting_error > INEXACT;
+    let promising = scores.into_iter().filter(|(score, ..)| open || *score > WORTH).take(ADDED);
     let hypotheses: Vec<_> = promising.map(|(_, _, hypothesis)| hypothesis).collect();
     if hypotheses.is_empty() {
         return None;

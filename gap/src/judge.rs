@@ -170,8 +170,10 @@ impl Judge {
     }
 }
 
-/// Whether all that `fit` has acts where `base` has effects.
+/// Whether `fit` has more effects than `base`, all of them where `base` has some.
 fn is_beside(fit: &Fit, base: &Fit) -> bool {
     let known: Vec<_> = base.hypothesis.effects.iter().map(|at| &at.place).collect();
-    !known.is_empty() && fit.hypothesis.effects.iter().all(|at| known.contains(&&at.place))
+    !known.is_empty()
+        && fit.hypothesis.effects.len() > known.len()
+        && fit.hypothesis.effects.iter().all(|at| known.contains(&&at.place))
 }

@@ -252,7 +252,8 @@ impl Effect {
             Effect::AsymmetricViscous => &[Effect::Viscous],
             // A wave longer than the way is a stiffness that changes along it.
             Effect::Cogging => &[Effect::SpringCubic],
-            Effect::EndStopBoth => &[Effect::EndStop, Effect::EndStopLower],
+            // Two stops that meet are a spring.
+            Effect::EndStopBoth => &[Effect::EndStop, Effect::EndStopLower, Effect::Spring],
             // A soft spring that rests far away.
             Effect::Spring => &[Effect::ConstantForce],
             _ => &[],
