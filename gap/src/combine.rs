@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use crate::hypothesis::{EffectAt, Hypothesis, Slot};
-use crate::judge::{EVEN, Judge, WORTH};
+use crate::judge::{DECISIVE, EVEN, Judge, WORTH};
 use crate::library;
 use crate::search::{Fit, INEXACT, Width, fit_all, fit_hypothesis, fit_part};
 use crate::setup::Setup;
@@ -304,11 +304,12 @@ fn extend(setup: &Setup, base: &Fit, pool: &[Candidate<'_>], judge: &Judge) -> O
     Some(chosen)
 }
 
-/// Of fits that the cost does not tell apart from the best, the simplest; of these the first in the library's order where
-/// it is truly even.
+/// Of fits that neither the cost nor the innovations tell apart from the best, the simplest; of these the first in the library's
+/// order where it is truly even.
 fn simplest(fits: &[Fit], cost: impl Fn(&Fit) -> f64) -> Option<Fit> {
-    let least = fits.iter().map(&cost).fold(f64::INFINITY, f64::min);
-    let even: Vec<&Fit> = fits.iter().filter(|fit| cost(fit) < least + WORTH).collect();
+    let best = fits.iter().min_by(|a, b| cost(a).total_cmp(&cost(b)))?;
+    let follows = |fit: &Fit| fit.innovation.evidence_cost < best.innovation.evidence_cost + DECISIVE;
+    let even: Vec<&Fit> = fits.iter().filter(|fit| cost(fit) < cost(best) + WORTH && follows(fit)).collect();
     let size = |fit: &Fit| fit.hypothesis.fitted.len();
     let smallest = even.iter().map(|fit| size(fit)).min()?;
     let simplest: Vec<&Fit> = even.into_iter().filter(|fit| size(fit) == smallest).collect();

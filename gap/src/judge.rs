@@ -11,7 +11,7 @@ pub const EVEN: f64 = 1.0;
 /// Difference of −2 log evidence from which two effects of like signature are told apart all the same.
 pub const DECISIVE: f64 = 20.0;
 
-/// Share of an output's squared error that a further effect must close where no hypothesis reaches the noise.
+/// Share of an output's squared error beyond the noise that a further effect must close where no hypothesis reaches the noise.
 const CLOSED: f64 = 0.4;
 
 /// Share of the gap's square that a further effect must close: what is less may as well be the form of the first one,
@@ -97,7 +97,10 @@ impl Judge {
         if is_beside(fit, base) && base.shooting_error - fit.shooting_error < MATERIAL_BESIDE * self.gap {
             return false;
         }
-        let closes = |(after, before): (&f64, &f64)| *after < (1.0 - CLOSED) * before;
+        // In noise units squared, of which one is the noise's, that nothing closes.
+        let closes = |(after, before): (&f64, &f64)| {
+            *before > INEXACT && after - 1.0 < (1.0 - CLOSED) * (before - 1.0)
+        };
         self.exact
             || fit.shooting_error <= INEXACT
             || (fit.innovation.evidence_cost < base.innovation.evidence_cost

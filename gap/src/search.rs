@@ -28,7 +28,7 @@ pub struct Fit {
     pub shooting_cost: f64,
     /// Mean squared residual of the short windows, in noise units squared.
     pub shooting_error: f64,
-    /// The same for each output, in its unit squared.
+    /// The same for each output.
     pub output_errors: Vec<f64>,
     /// Standard deviations of the short windows' estimate, robust to residuals that are correlated within a window.
     shooting_std: Vec<f64>,
@@ -144,7 +144,7 @@ fn assemble(
         residuals,
         shooting_cost: shot.cost,
         shooting_error: shot.error(setup),
-        output_errors: shot.output_errors(),
+        output_errors: shot.output_errors(setup),
         shooting_std: shot.std(),
         innovation_std: innovation.std(),
         independence: shot.independence(),

@@ -26,11 +26,11 @@ impl Shot {
         squares / self.residuals.counts.iter().sum::<usize>().max(1) as f64
     }
 
-    /// Mean squared residual of each output, in its unit squared.
+    /// Mean squared residual of each output, in units of its sensor's noise, squared.
     #[must_use]
-    pub fn output_errors(&self) -> Vec<f64> {
-        let outputs = self.residuals.squares.iter().zip(&self.residuals.counts);
-        outputs.map(|(squares, count)| squares / (*count).max(1) as f64).collect()
+    pub fn output_errors(&self, setup: &Setup) -> Vec<f64> {
+        let outputs = self.residuals.squares.iter().zip(&self.residuals.counts).zip(&setup.output_noise);
+        outputs.map(|((squares, count), noise)| squares / ((*count).max(1) as f64 * noise * noise)).collect()
     }
 
     /// p / tr(H⁻¹ Σ g gᵀ): 1 for independent residuals, less where they are correlated within a window (the
