@@ -80,7 +80,7 @@ pub fn combinations<'a>(
         if base.hypothesis.effects.len() < 2 {
             continue;
         }
-        let base = simplify(setup, null, prune(setup, null, base, fits, &pool, judge), judge);
+        let base = simplify(setup, null, prune(setup, null, base, fits, &pool, judge), &pool, judge);
         let known = |other: &Fit| same(&other.hypothesis.effects, &base.hypothesis.effects);
         if base.hypothesis.effects.len() < 2
             || found.iter().any(known)
@@ -388,9 +388,9 @@ fn prune(
     fit
 }
 
-/// Puts a simpler effect in the place of one that contains it, where that costs less than [`WORTH`], or hardly more and
-/// what it leaves out is not told from nothing.
-fn simplify(setup: &Setup, null: &Fit, mut fit: Fit, judge: &Judge) -> Fit {
+/// Puts a simpler effect in the place of one that contains it, where that one is not worth it, or hardly and what the simpler one
+/// leaves out is not told from nothing.
+fn simplify(setup: &Setup, null: &Fit, mut fit: Fit, pool: &[Candidate<'_>], judge: &Judge) -> Fit {
     for k in 0..fit.hypothesis.effects.len() {
         for simpler in fit.hypothesis.effects[k].effect.simpler() {
             if setup.stop.leaves_out(|| SEVERAL.into()) {
@@ -403,7 +403,8 @@ fn simplify(setup: &Setup, null: &Fit, mut fit: Fit, judge: &Judge) -> Fit {
                 continue;
             }
             let other = fit_hypothesis(setup, null, library::hypothesis(setup, &effects));
-            if !judge.is_worth(&fit, &other) || judge.is_spare(&fit, k, &other) {
+            let complete = || leaves_nothing(setup, &fit, pool);
+            if !judge.is_worth_or(&fit, &other, complete) || judge.is_spare(&fit, k, &other) {
                 fit = other;
                 break;
             }

@@ -56,3 +56,11 @@ fn a_single_cause_stays_alone() {
     let report = diagnose(Hidden { lag: 0.06, ..Hidden::default() }, 12);
     assert_eq!(names(&report), ["lag"], "{}", report.summary);
 }
+
+/// A spring that stands for the wave of the poles closes all but a hundredth of what the filter leaves, and far from all of it.
+#[test]
+fn a_wave_beside_a_sensor_that_is_behind_stays_a_wave() {
+    let report = diagnose(Hidden { filter: 0.08, poles: (0.02, 11.0), ..Hidden::default() }, 14);
+    let names = names(&report);
+    assert!(names.contains(&"cogging".into()) && names.len() == 2, "{}", report.summary);
+}

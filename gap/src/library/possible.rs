@@ -40,6 +40,17 @@ const BEYOND: f64 = 0.01;
 /// How far beyond a limit, in noise units, a reading must lie to contradict it.
 const FAR: f64 = 4.0;
 
+/// Whether a state that went through these values is one that limits hold now and then; `clear` is where it is clear of them.
+fn is_limited(went: impl Iterator<Item = f64>, clear: (f64, f64), shown: bool) -> bool {
+    let (mut count, mut inside) = (0_usize, 0_usize);
+    for x in went {
+        count += 1;
+        inside += usize::from(x > clear.0 && x < clear.1);
+    }
+    let least = |share: f64, of: usize| of as f64 >= share * count as f64;
+    least(INSIDE, inside) && (shown || least(AT_LIMIT, count - inside))
+}
+
 /// Whether every effect of a fit can be what it says it is.
 #[must_use]
 pub fn is_possible(setup: &Setup, fit: &Fit) -> bool {
@@ -68,12 +79,9 @@ pub fn is_possible(setup: &Setup, fit: &Fit) -> bool {
             }
             (Effect::Saturation | Effect::SaturationOverflow, PlaceKind::State) => {
                 let pass = &fit.innovation.pass;
-                let went = pass.state.iter().skip(index).step_by(pass.states().max(1));
+                let went = pass.state.iter().copied().skip(index).step_by(pass.states().max(1));
                 let clear = CLEAR * setup.state_range[index].width();
-                let inside = went.clone().filter(|x| **x > low + clear && **x < high - clear).count();
-                let count = went.count() as f64;
-                let reached = count - inside as f64 >= AT_LIMIT * count || setup.is_shown(index);
-                reached && inside as f64 >= INSIDE * count
+                is_limited(went, (low + clear, high - clear), setup.is_shown(index))
             }
             (Effect::CoulombDahl, _) => {
                 let deflection = fit.hypothesis.fitted.iter().position(|f| f.name == "deflection");
@@ -90,4 +98,23 @@ pub fn is_possible(setup: &Setup, fit: &Fit) -> bool {
             _ => true,
         }
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::is_limited;
+
+    /// So many of a thousand readings at the upper limit, the others in the middle.
+    fn rising(at_limit: usize) -> impl Iterator<Item = f64> {
+        (0..1000).map(move |k| if k < at_limit { 1.0 } else { 0.5 })
+    }
+
+    #[test]
+    fn the_first_readings_of_a_state_that_nobody_reads_are_at_no_limit() {
+        let clear = (0.01, 0.99);
+        assert!(!is_limited(rising(3), clear, false), "thrown about until it is known");
+        assert!(is_limited(rising(3), clear, true), "a reading shows that it is there");
+        assert!(is_limited(rising(60), clear, false));
+        assert!(!is_limited(rising(950), clear, true), "a constant predicts what is held all the time");
+    }
 }
