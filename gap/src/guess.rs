@@ -72,12 +72,16 @@ impl Guess {
         let system = equations.system();
         for (i, state) in system.states.iter().enumerate() {
             let shown = system.shown_as(&state.name).is_some();
-            if shown || is_rate(equations, i) || !matches!(state.initial, Initial::Free) {
+            // A declared start is where the log begins, and no guess for the middle of it.
+            let stated = matches!(state.initial, Initial::Calibrated { .. });
+            if shown || is_rate(equations, i) || stated {
                 continue;
             }
             let mut seen: Vec<f64> = order.iter().map(|k| pass.state[k * width + i]).collect();
             let (low, high) = (quantile(&mut seen, 0.05), quantile(&mut seen, 0.95));
-            known.state[i] = median(&mut seen);
+            if matches!(state.initial, Initial::Free) {
+                known.state[i] = median(&mut seen);
+            }
             if high > low {
                 known.std[i] = known.std[i].min(WIDTHS * (high - low));
             }
