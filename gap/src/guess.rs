@@ -72,18 +72,22 @@ impl Guess {
         let system = equations.system();
         for (i, state) in system.states.iter().enumerate() {
             let shown = system.shown_as(&state.name).is_some();
-            // A declared start is where the log begins, and no guess for the middle of it.
-            let stated = matches!(state.initial, Initial::Calibrated { .. });
-            if shown || is_rate(equations, i) || stated {
+            if shown || is_rate(equations, i) || matches!(state.initial, Initial::Calibrated { .. }) {
                 continue;
             }
             let mut seen: Vec<f64> = order.iter().map(|k| pass.state[k * width + i]).collect();
             let (low, high) = (quantile(&mut seen, 0.05), quantile(&mut seen, 0.95));
-            if matches!(state.initial, Initial::Free) {
-                known.state[i] = median(&mut seen);
-            }
+            let middle = median(&mut seen);
+            // Where a start is stated the log begins there, which may be far from where the state is later on.
+            let off = match state.initial {
+                Initial::Free => {
+                    known.state[i] = middle;
+                    0.0
+                }
+                _ => (known.state[i] - middle).abs(),
+            };
             if high > low {
-                known.std[i] = known.std[i].min(WIDTHS * (high - low));
+                known.std[i] = known.std[i].min(WIDTHS * (high - low).max(off));
             }
         }
         known.along = Along {
