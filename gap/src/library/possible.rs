@@ -81,7 +81,9 @@ pub fn is_possible(setup: &Setup, fit: &Fit) -> bool {
                 let pass = &fit.innovation.pass;
                 let went = pass.state.iter().copied().skip(index).step_by(pass.states().max(1));
                 let clear = CLEAR * setup.state_range[index].width();
-                is_limited(went, (low + clear, high - clear), setup.is_shown(index))
+                // What overflows shows in the state that it feeds.
+                let shown = setup.is_shown(index) || at.effect == Effect::SaturationOverflow;
+                is_limited(went, (low + clear, high - clear), shown)
             }
             (Effect::CoulombDahl, _) => {
                 let deflection = fit.hypothesis.fitted.iter().position(|f| f.name == "deflection");
