@@ -69,8 +69,8 @@ pub fn combinations<'a>(
         if setup.stop.leaves_out(|| SEVERAL.into()) {
             break;
         }
-        let (mut base, again) = grown(setup, null, base.clone(), &pool, judge);
-        found.extend(again);
+        let (mut base, refitted) = grown(setup, null, base.clone(), &pool, judge);
+        found.extend(refitted);
         if let Some(other) = exchanged(setup, null, &base, fits, (&pool, forms), judge) {
             (base, _) = grown(setup, null, other, &pool, judge);
         }
@@ -99,23 +99,26 @@ pub fn combinations<'a>(
     found
 }
 
-/// Each effect of a pair alone, from where it is beside the other, where it is fitted better so: on its own way there it
-/// stuck, and the other one paid for the rest of the way.
+/// An effect alone, from where it is beside another one (`beside`), where it is fitted better so: on its own way there it stuck
+/// (`known`), and the other one would pay for the rest of the way.
+fn again(setup: &Setup, null: &Fit, known: &Fit, beside: &Fit, judge: &Judge) -> Option<Fit> {
+    let single = fit_part(setup, null, library::hypothesis(setup, &known.hypothesis.effects), beside);
+    let better = judge.cost(&single) < judge.cost(known) - EVEN;
+    (better && library::is_possible(setup, &single)).then_some(single)
+}
+
+/// Each effect of a pair [`again`].
 fn restarted(setup: &Setup, null: &Fit, fit: &Fit, fits: &[Fit], judge: &Judge) -> Vec<Fit> {
     if fit.hypothesis.effects.len() != 2 || setup.stop.leaves_out(|| SEVERAL.into()) {
         return Vec::new();
     }
-    let again = fit.hypothesis.effects.par_iter().filter_map(|at| {
-        let effects = std::slice::from_ref(at);
-        let known = fits.iter().find(|f| f.hypothesis.effects == effects)?;
-        let single = fit_part(setup, null, library::hypothesis(setup, effects), fit);
-        (judge.cost(&single) < judge.cost(known) - EVEN).then_some(single)
-    });
-    again.filter(|single| library::is_possible(setup, single)).collect()
+    let own = fit.hypothesis.effects.par_iter();
+    let known = own.filter_map(|at| fits.iter().find(|f| f.hypothesis.effects == [at.clone()]));
+    known.filter_map(|known| again(setup, null, known, fit, judge)).collect()
 }
 
-/// A fit with further effects, one by one, as long as they are worth it; and what it began with, where that is fitted better from
-/// where it is beside another effect: on its own way there it stuck, and any other would have paid for the rest of the way.
+/// A fit with further effects, one by one, as long as they are worth it; and the single one that it began with, where that is
+/// fitted better [`again`].
 fn grown(
     setup: &Setup,
     null: &Fit,
@@ -123,14 +126,13 @@ fn grown(
     pool: &[Candidate<'_>],
     judge: &Judge,
 ) -> (Fit, Option<Fit>) {
-    let mut again = None;
+    let mut refitted = None;
     while base.hypothesis.effects.len() < MOST && !setup.stop.leaves_out(|| SEVERAL.into()) {
         let Some(next) = extend(setup, &base, pool, judge) else { break };
-        if base.hypothesis.effects.len() == 1 && again.is_none() {
-            let single = fit_part(setup, null, base.hypothesis.clone(), &next);
-            if judge.cost(&single) < judge.cost(&base) - EVEN && library::is_possible(setup, &single) {
-                again = Some(single.clone());
-                base = single;
+        if base.hypothesis.effects.len() == 1 && refitted.is_none() {
+            refitted = again(setup, null, &base, &next, judge);
+            if let Some(single) = &refitted {
+                base = single.clone();
                 continue;
             }
         }
@@ -140,7 +142,7 @@ fn grown(
         }
         base = next;
     }
-    (base, again)
+    (base, refitted)
 }
 
 /// Where the noise is not reached: the best combination with another effect, or another form, in the place of one of
