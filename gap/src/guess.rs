@@ -76,19 +76,8 @@ impl Guess {
                 continue;
             }
             let mut seen: Vec<f64> = order.iter().map(|k| pass.state[k * width + i]).collect();
-            let (low, high) = (quantile(&mut seen, 0.05), quantile(&mut seen, 0.95));
-            let middle = median(&mut seen);
-            // Where a start is stated the log begins there, which may be far from where the state is later on.
-            let off = match state.initial {
-                Initial::Free => {
-                    known.state[i] = middle;
-                    0.0
-                }
-                _ => (known.state[i] - middle).abs(),
-            };
-            if high > low {
-                known.std[i] = known.std[i].min(WIDTHS * (high - low).max(off));
-            }
+            (known.state[i], known.std[i]) =
+                narrowed(&state.initial, (known.state[i], known.std[i]), &mut seen);
         }
         known.along = Along {
             stamps: order.iter().map(|k| pass.stamp[*k]).collect(),
@@ -135,6 +124,15 @@ impl Guess {
     }
 }
 
+/// A guess and its standard deviation, given where a walk saw the state: a stated start stays, however far that is from there.
+fn narrowed(initial: &Initial, (state, std): (f64, f64), seen: &mut [f64]) -> (f64, f64) {
+    let (low, high) = (quantile(seen, 0.05), quantile(seen, 0.95));
+    let middle = median(seen);
+    let state = if matches!(initial, Initial::Free) { middle } else { state };
+    let away = (high - low).max((state - middle).abs());
+    (state, if high > low { std.min(WIDTHS * away) } else { std })
+}
+
 /// A state whose derivative is another state alone: it integrates, and no noise enters it.
 pub(crate) fn kinematic(equations: &Equations, state: usize) -> bool {
     derivative_is_state(equations, state).is_some()
@@ -149,4 +147,23 @@ fn derivative_is_state(equations: &Equations, state: usize) -> Option<usize> {
 /// A state that is the derivative of another one.
 fn is_rate(equations: &Equations, state: usize) -> bool {
     (0..equations.system().states.len()).any(|i| derivative_is_state(equations, i) == Some(state))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stated_start_stays_and_is_as_far_off_as_the_state_was_seen() {
+        // A rotor that hovers: from 1900 to 2100.
+        let mut seen: Vec<f64> = (0..=200).map(|k| 1900.0 + f64::from(k)).collect();
+        let narrow = |initial: f64, seen: &mut Vec<f64>| {
+            narrowed(&Initial::Fixed(initial), (initial, 10.0 * initial.max(1e3)), seen)
+        };
+        assert_eq!(narrow(1995.5, &mut seen), (1995.5, 180.0), "ten times the start is as good as nothing");
+        assert_eq!(narrow(0.0, &mut seen), (0.0, 2000.0), "it stands at first");
+        assert_eq!(narrowed(&Initial::Free, (0.0, 1e4), &mut seen), (2000.0, 180.0));
+        let mut still = vec![7.0; 50];
+        assert_eq!(narrow(7.0, &mut still), (7.0, 1e4), "nothing was seen to move");
+    }
 }

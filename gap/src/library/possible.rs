@@ -27,10 +27,6 @@ const LONGEST: f64 = 0.9;
 /// Share of time that a clipped state must be clear of its limits.
 const INSIDE: f64 = 0.1;
 
-/// Share of time for which a state that nobody reads must be at its limits: where it begins is unknown, so that the first readings
-/// throw it about, and a limit that holds it there is none of the machine.
-const AT_LIMIT: f64 = 0.005;
-
 /// How far from a limit a state is clear of it, as a share of its range.
 const CLEAR: f64 = 0.01;
 
@@ -39,17 +35,6 @@ const BEYOND: f64 = 0.01;
 
 /// How far beyond a limit, in noise units, a reading must lie to contradict it.
 const FAR: f64 = 4.0;
-
-/// Whether a state that went through these values is one that limits hold now and then; `clear` is where it is clear of them.
-fn is_limited(went: impl Iterator<Item = f64>, clear: (f64, f64), shown: bool) -> bool {
-    let (mut count, mut inside) = (0_usize, 0_usize);
-    for x in went {
-        count += 1;
-        inside += usize::from(x > clear.0 && x < clear.1);
-    }
-    let least = |share: f64, of: usize| of as f64 >= share * count as f64;
-    least(INSIDE, inside) && (shown || least(AT_LIMIT, count - inside))
-}
 
 /// Whether every effect of a fit can be what it says it is.
 #[must_use]
@@ -79,11 +64,10 @@ pub fn is_possible(setup: &Setup, fit: &Fit) -> bool {
             }
             (Effect::Saturation | Effect::SaturationOverflow, PlaceKind::State) => {
                 let pass = &fit.innovation.pass;
-                let went = pass.state.iter().copied().skip(index).step_by(pass.states().max(1));
+                let went = pass.state.iter().skip(index).step_by(pass.states().max(1));
                 let clear = CLEAR * setup.state_range[index].width();
-                // What overflows shows in the state that it feeds.
-                let shown = setup.is_shown(index) || at.effect == Effect::SaturationOverflow;
-                is_limited(went, (low + clear, high - clear), shown)
+                let inside = went.clone().filter(|x| **x > low + clear && **x < high - clear).count();
+                inside as f64 >= INSIDE * went.count() as f64
             }
             (Effect::CoulombDahl, _) => {
                 let deflection = fit.hypothesis.fitted.iter().position(|f| f.name == "deflection");
@@ -100,23 +84,4 @@ pub fn is_possible(setup: &Setup, fit: &Fit) -> bool {
             _ => true,
         }
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::is_limited;
-
-    /// So many of a thousand readings at the upper limit, the others in the middle.
-    fn rising(at_limit: usize) -> impl Iterator<Item = f64> {
-        (0..1000).map(move |k| if k < at_limit { 1.0 } else { 0.5 })
-    }
-
-    #[test]
-    fn the_first_readings_of_a_state_that_nobody_reads_are_at_no_limit() {
-        let clear = (0.01, 0.99);
-        assert!(!is_limited(rising(3), clear, false), "thrown about until it is known");
-        assert!(is_limited(rising(3), clear, true), "a reading shows that it is there");
-        assert!(is_limited(rising(60), clear, false));
-        assert!(!is_limited(rising(950), clear, true), "a constant predicts what is held all the time");
-    }
 }
