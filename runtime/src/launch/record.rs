@@ -6,6 +6,7 @@
 //! recorder can take over where it died.
 
 use std::collections::BTreeMap;
+use std::ops::{Range, RangeInclusive};
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -17,7 +18,7 @@ use super::ledger::Ledger;
 use super::link::Placement;
 use super::plan::{self, CHANGE, LOSS, REPLACED, STEP, Settings};
 use super::priority::give_way;
-use super::unpack::{self, NO_RECORD};
+use super::unpack::{NO_RECORD, Unpacker};
 use super::watch::watched;
 use crate::channel::{Endpoint, Space, Subscriber};
 use crate::graph::{Graph, NodePlan};
@@ -29,8 +30,11 @@ use crate::time::Nanos;
 /// What the recorder is called among nodes, whose names are made of letters, digits and underscores.
 pub(super) const NAME: &str = "@recorder";
 
-/// Milliseconds between two visits to the channels: short against the seconds of room that they have, long against a step.
-const VISIT: i32 = 10;
+/// Milliseconds between two visits to the channels: few while there is much to take, and more where visits find little. Each
+/// visit takes a core from a node that polls, if all cores do: of few, fewer messages meet one.
+const VISIT: RangeInclusive<i32> = 10..=100;
+/// The share of a channel's room, or of a batch, that is much.
+const MUCH: usize = 32;
 /// Words taken from the channels before they are written: the recorder's memory.
 const BATCH: usize = 1 << 20;
 /// How often what was written is made sure of.
@@ -84,7 +88,10 @@ pub(super) fn serve(graph: &Graph, settings: &Settings, space: &Space, stream: U
         wait: RETRY.0,
         certain: Instant::now(),
         last: 0,
+        unpacker: Unpacker::new(graph, space),
         taken: Vec::new(),
+        words: Vec::new(),
+        rest: *VISIT.start(),
     };
     scribe.take_over();
     line.send(&Answer::Listening);
@@ -92,9 +99,9 @@ pub(super) fn serve(graph: &Graph, settings: &Settings, space: &Space, stream: U
     loop {
         let gone = line.closed();
         if gone {
-            std::thread::sleep(Duration::from_millis(VISIT as u64));
+            std::thread::sleep(Duration::from_millis(*VISIT.start() as u64));
         }
-        for order in line.receive(VISIT).unwrap_or_else(|_| {
+        for order in line.receive(scribe.rest).unwrap_or_else(|_| {
             // Somebody else speaks on the line: the launcher is none.
             line.hang_up();
             Vec::new()
@@ -152,6 +159,8 @@ fn refuse(line: &mut Line, reason: String) -> End {
 struct Stream {
     node: usize,
     subscriber: Subscriber,
+    /// So many at once are much.
+    much: usize,
 }
 
 /// The records of all nodes, or, where this is a copy, of those of this machine.
@@ -160,8 +169,9 @@ fn open(graph: &Graph, settings: &Settings, space: &Space) -> Result<Vec<Stream>
     (0..graph.nodes().len())
         .filter(|&node| !settings.copies() || settings.is_here(node))
         .map(|node| {
-            let subscriber = endpoint.open(&plan::records(graph, node))?.subscriber()?;
-            Ok(Stream { node, subscriber })
+            let topic = plan::records(graph, node);
+            let subscriber = endpoint.open(&topic)?.subscriber()?;
+            Ok(Stream { node, subscriber, much: topic.buffer / MUCH })
         })
         .collect()
 }
@@ -170,7 +180,8 @@ fn open(graph: &Graph, settings: &Settings, space: &Space) -> Result<Vec<Stream>
 struct Taken {
     time: Nanos,
     node: usize,
-    words: Vec<u64>,
+    /// Where its words lie among those that were taken.
+    words: Range<usize>,
 }
 
 /// Where records go.
@@ -205,7 +216,12 @@ struct Scribe<'a> {
     since: Vec<u64>,
     /// The latest time of a record.
     last: Nanos,
+    unpacker: Unpacker<'a>,
+    /// What the last visit took, and its words.
     taken: Vec<Taken>,
+    words: Vec<u64>,
+    /// Milliseconds until the next visit.
+    rest: i32,
 }
 
 impl Scribe<'_> {
@@ -312,7 +328,7 @@ impl Scribe<'_> {
                 continue;
             };
             self.since[record.node] += 1;
-            match unpack::write(self.graph, self.space, file, record.node, &record.words) {
+            match self.unpacker.write(file, record.node, &self.words[record.words]) {
                 Ok(()) => {}
                 // What no file can hold is the fault of the node that sent it.
                 Err(error @ RecordingError::Unwritable { .. }) => {
@@ -385,8 +401,11 @@ impl Scribe<'_> {
 
     fn take(&mut self) -> Result<(), RunError> {
         let mut room = BATCH;
+        let mut much = false;
+        self.words.clear();
         let streams = self.streams.len();
-        for (visited, &Stream { node, ref subscriber }) in self.streams.iter().enumerate() {
+        for (visited, &Stream { node, ref subscriber, much: many }) in self.streams.iter().enumerate() {
+            let before = self.taken.len();
             let Ledger { next, lost, unwritten, problem, .. } = &mut self.ledger;
             // Each node has its share of the room, whatever the others send.
             let mut share = room.div_ceil(streams - visited);
@@ -411,13 +430,18 @@ impl Scribe<'_> {
                     next[node] = number.saturating_add(1);
                     share = share.saturating_sub(words.len());
                     room = room.saturating_sub(words.len());
-                    self.taken.push(Taken { time, node, words: words.to_vec() });
+                    let at = self.words.len();
+                    self.words.extend_from_slice(words);
+                    self.taken.push(Taken { time, node, words: at..self.words.len() });
                 })?;
                 if !got {
                     break;
                 }
             }
+            much |= self.taken.len() - before > many;
         }
+        much |= BATCH - room > BATCH / MUCH;
+        self.rest = if much { *VISIT.start() } else { (2 * self.rest).min(*VISIT.end()) };
         Ok(())
     }
 }

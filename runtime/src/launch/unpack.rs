@@ -8,7 +8,7 @@ use super::plan::{
 };
 use crate::channel::Space;
 use crate::data::bytes;
-use crate::graph::Graph;
+use crate::graph::{Graph, NodePlan};
 use crate::node::Consumed;
 use crate::recording::{
     Change, ChangeKind, Fault, FaultKind, InputRecord, Loss, RecordingError, RecordingWriter, StepRecord,
@@ -22,34 +22,88 @@ const MOST_LOST: u64 = 1 << 20;
 pub(super) const NO_RECORD: &str =
     "a record has a form that no record has: somebody wrote into the shared memory of the run";
 
-/// Writes one record of a node into a file.
-///
-/// # Errors
-///
-/// [`RecordingError::Unwritable`] for what is no record; [`RecordingError::Write`].
-pub(super) fn write(
-    graph: &Graph,
-    space: &Space,
-    file: &mut RecordingWriter,
-    node: usize,
-    words: &[u64],
-) -> Result<(), RecordingError> {
-    let no_record = || file_refuses(graph, node);
-    if words[0] == CHANGE {
-        let words = words.get(..CHANGE_WORDS).ok_or_else(no_record)?;
-        return file.change(&change(graph, space, node, words));
+/// Takes records apart and writes them into files; what it needs for that is kept from one record to the next.
+pub(super) struct Unpacker<'a> {
+    graph: &'a Graph,
+    space: &'a Space,
+    /// The latest step of each node.
+    steps: Vec<StepRecord>,
+    /// The latest payload.
+    payload: Vec<f64>,
+}
+
+impl<'a> Unpacker<'a> {
+    pub(super) fn new(graph: &'a Graph, space: &'a Space) -> Self {
+        let input = |&connection: &usize| {
+            let port = graph.connections()[connection].port.clone();
+            InputRecord { port, consumed: Vec::new(), superseded: 0 }
+        };
+        let step = |node: &NodePlan| {
+            let inputs = node.inputs.iter().map(input).collect();
+            StepRecord { seq: 0, due: 0, start: 0, end: 0, inputs }
+        };
+        let steps = graph.nodes().iter().map(step).collect();
+        Self { graph, space, steps, payload: Vec::new() }
     }
-    if words[0] == LOSS {
-        let words = words.get(..LOSS_WORDS).ok_or_else(no_record)?;
-        return losses(graph, node, words).try_for_each(|loss| file.loss(&loss));
+
+    /// Writes one record of a node into a file.
+    ///
+    /// # Errors
+    ///
+    /// [`RecordingError::Unwritable`] for what is no record; [`RecordingError::Write`].
+    pub(super) fn write(
+        &mut self,
+        file: &mut RecordingWriter,
+        node: usize,
+        words: &[u64],
+    ) -> Result<(), RecordingError> {
+        let (graph, space) = (self.graph, self.space);
+        let no_record = || file_refuses(graph, node);
+        if words[0] == CHANGE {
+            let words = words.get(..CHANGE_WORDS).ok_or_else(no_record)?;
+            return file.change(&change(graph, space, node, words));
+        }
+        if words[0] == LOSS {
+            let words = words.get(..LOSS_WORDS).ok_or_else(no_record)?;
+            return losses(graph, node, words).try_for_each(|loss| file.loss(&loss));
+        }
+        let data = self.step(node, words).ok_or_else(no_record)?;
+        let step = &self.steps[node];
+        if words[0] == REPLACED {
+            let node = graph.nodes()[node].name.clone();
+            file.fault(&Fault { node, time: step.end, kind: FaultKind::Replaced { step: step.seq } })?;
+        }
+        file.message_with_data(node, step.seq, step.end, &self.payload, data)?;
+        file.step_record(node, step)
     }
-    let (step, payload, data) = step(graph, node, words).ok_or_else(no_record)?;
-    if words[0] == REPLACED {
-        let node = graph.nodes()[node].name.clone();
-        file.fault(&Fault { node, time: step.end, kind: FaultKind::Replaced { step: step.seq } })?;
+
+    /// Takes in a step and the payload that it sent; gives the data of that.
+    fn step<'w>(&mut self, node: usize, words: &'w [u64]) -> Option<&'w [u8]> {
+        let (head, mut rest) = words.split_at_checked(STEP_HEAD)?;
+        let step = &mut self.steps[node];
+        step.seq = head[2];
+        [step.due, step.start, step.end] = [head[3], head[4], head[5]].map(|time| time as Nanos);
+        for InputRecord { consumed, superseded, .. } in &mut step.inputs {
+            let (input, after) = rest.split_at_checked(INPUT_HEAD)?;
+            let (stamps, after) = after.split_at_checked(CONSUMED.checked_mul(input[1] as usize)?)?;
+            *superseded = input[0];
+            consumed.clear();
+            consumed.extend(stamps.chunks_exact(CONSUMED).map(|stamp| Consumed {
+                seq: (stamp[0] != INITIAL).then_some(stamp[0]),
+                sent: stamp[1] as Nanos,
+                received: stamp[2] as Nanos,
+            }));
+            rest = after;
+        }
+        let kind = &self.graph.nodes()[node].kind;
+        let (leaves, rest) = rest.split_at_checked(kind.output().leaves.len())?;
+        self.payload.clear();
+        self.payload.extend(leaves.iter().map(|word| f64::from_bits(*word)));
+        match rest.split_first() {
+            Some((length, words)) => bytes(words).get(..usize::try_from(*length).ok()?),
+            None => Some(&[]),
+        }
     }
-    file.message_with_data(node, step.seq, step.end, &payload, data)?;
-    file.step_record(node, &step)
 }
 
 /// What is said of a record that has not the length that it tells.
@@ -96,32 +150,4 @@ fn change(graph: &Graph, space: &Space, node: usize, words: &[u64]) -> Change {
     };
     let by = By::of_word(words[7]).text();
     Change { node: name.clone(), step: words[2], time: words[5] as Nanos, by, kind }
-}
-
-/// A step, the payload that it sent, and the data of that.
-fn step<'a>(graph: &Graph, node: usize, words: &'a [u64]) -> Option<(StepRecord, Vec<f64>, &'a [u8])> {
-    let (head, mut rest) = words.split_at_checked(STEP_HEAD)?;
-    let mut inputs = Vec::new();
-    for &connection in &graph.nodes()[node].inputs {
-        let (input, after) = rest.split_at_checked(INPUT_HEAD)?;
-        let (stamps, after) = after.split_at_checked(CONSUMED.checked_mul(input[1] as usize)?)?;
-        let consumed = stamps.chunks_exact(CONSUMED).map(|stamp| Consumed {
-            seq: (stamp[0] != INITIAL).then_some(stamp[0]),
-            sent: stamp[1] as Nanos,
-            received: stamp[2] as Nanos,
-        });
-        let port = graph.connections()[connection].port.clone();
-        inputs.push(InputRecord { port, consumed: consumed.collect(), superseded: input[0] });
-        rest = after;
-    }
-    let kind = &graph.nodes()[node].kind;
-    let (leaves, rest) = rest.split_at_checked(kind.output().leaves.len())?;
-    let payload = leaves.iter().map(|word| f64::from_bits(*word)).collect();
-    let data = match rest.split_first() {
-        Some((length, words)) => bytes(words).get(..usize::try_from(*length).ok()?)?,
-        None => &[],
-    };
-    let [seq, due, start, end] = [head[2], head[3], head[4], head[5]];
-    let step = StepRecord { seq, due: due as Nanos, start: start as Nanos, end: end as Nanos, inputs };
-    Some((step, payload, data))
 }
