@@ -182,6 +182,10 @@ impl<'a> View<'a> {
     fn follow(&mut self) -> bool {
         let slopes = self.slopes();
         let (by_free, by_start) = self.step(&slopes);
+        // A machine that runs away shows no slope to follow.
+        if !by_start.iter().chain([&by_free]).flatten().all(|step| step.is_finite()) {
+            return false;
+        }
         for part in [1.0, 0.4, 0.1] {
             let (mut parameters, mut causes) = (self.parameters.clone(), self.causes.clone());
             for ((free, size, _), step) in slopes.global.iter().zip(&by_free) {
