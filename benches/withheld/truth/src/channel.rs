@@ -90,7 +90,8 @@ fn actuator(c: &Cause, state: &mut Option<[f64; 2]>, u: f64, rest: f64) -> f64 {
             s[0]
         }
         Kind::Backlash => {
-            s[0] = s[0].clamp(u - a / 2.0, u + a / 2.0);
+            // A command of a machine that runs away may be none.
+            s[0] = s[0].max(u - a / 2.0).min(u + a / 2.0);
             s[0]
         }
         Kind::Lag if a > 0.0 => {
