@@ -155,9 +155,6 @@ fn walk_along(
     filter(run, &starts, simulator.states(), parameters, &model.scale, noise)
 }
 
-/// Change of a walk's −2 log likelihood from which the noise is fitted anew.
-const MOVED: f64 = 0.5;
-
 /// Fits a hypothesis from one starting point.
 pub fn fit(
     simulator: &dyn Simulator,
@@ -171,16 +168,13 @@ pub fn fit(
     let p = simulator.parameters();
     let mut noise = noise.clone();
     let mut last: Option<(Vec<f64>, Pass)> = None;
-    // The cost from which on another noise gained little: where it hardly changes, neither does the best noise.
-    let mut settled: Option<f64> = None;
     let minimum = minimise(&hypothesis.fitted, start, iterations, |theta, accepted| {
         let known = last.take().filter(|(at, _)| at == theta);
         let mut pass = match known {
             Some((_, pass)) => pass,
             None => walk(simulator, segments, model, &noise, theta),
         };
-        if accepted && settled.is_none_or(|cost| pass.cost() < cost - MOVED) {
-            let before = pass.cost();
+        if accepted {
             let better = pass.refit_noise(&model.scale, &noise, &model.limits, model.process_floor);
             if better != noise {
                 let again = walk(simulator, segments, model, &better, theta);
@@ -189,7 +183,6 @@ pub fn fit(
                     (noise, pass) = (better, again);
                 }
             }
-            settled = (before - pass.cost() < MOVED).then(|| pass.cost());
         }
         let mut local = Local { cost: pass.cost(), information: vec![0.0; p * p], gradient: vec![0.0; p] };
         if !local.cost.is_finite() {

@@ -1,26 +1,14 @@
-//! Which noise makes a walk's innovations likeliest: searches by parabolas along one logarithm of a variance after the other.
+//! Which noise makes a walk's innovations likeliest: coordinate searches on logarithms of variances.
 
 use super::{Noise, Pass};
 
-/// The first step of a search along a coordinate, the shortest and the longest.
-const STEPS: (f64, f64, f64) = (0.6, 0.2, 6.0);
-
-/// How near to the lowest point of a coordinate is near enough.
-const NEAR: f64 = 0.05;
-
-/// What a step lowers a cost by at least, as a step of the parameters does.
-const GAIN: f64 = 1e-2;
-
-/// Most rounds through the coordinates.
-const ROUNDS: usize = 60;
-
-/// How far coordinates move, all together, until those that rest are asked again.
-const AGAIN: f64 = 1.0;
+/// The first step of a search, and the one at which it ends.
+const STEPS: (f64, f64) = (1.5, 0.08);
 
 /// How much larger or smaller than its natural size, in units of the others', a state's process noise is taken to be.
 const WIDEST: f64 = 30.0;
 
-/// Ends where no coordinate lowers the cost any further. `shift` takes a step along a coordinate, as far as bounds let it.
+/// Ends where no step of any coordinate lowers the cost. `shift` takes a step along a coordinate, as far as bounds let it.
 fn descend<T: Clone + PartialEq>(
     start: &T,
     coordinates: usize,
@@ -28,44 +16,25 @@ fn descend<T: Clone + PartialEq>(
     cost_at: impl Fn(&T) -> f64,
 ) -> T {
     let (mut best, mut cost) = (start.clone(), cost_at(start));
-    let mut steps = vec![STEPS.0; coordinates];
-    // Most stay where they are: one that does rests while the others go on.
-    let mut rests = vec![false; coordinates];
-    let mut moved = 0.0;
-    for _ in 0..ROUNDS {
-        for (coordinate, (step, rests)) in steps.iter_mut().zip(&mut rests).enumerate() {
-            if *rests {
-                continue;
-            }
-            let at = |far: f64| {
-                let mut there = best.clone();
-                shift(&mut there, coordinate, far);
-                let cost = if there == best { f64::NAN } else { cost_at(&there) };
-                (far, there, if cost.is_nan() { f64::INFINITY } else { cost })
-            };
-            let (down, up) = (at(-*step), at(*step));
-            let curvature = down.2 + up.2 - 2.0 * cost;
-            // The lowest point of the parabola through all three.
-            let lowest = (0.5 * *step * (down.2 - up.2) / curvature).clamp(-3.0 * *step, 3.0 * *step);
-            let mut tries = vec![down, up];
-            if curvature > 0.0 && curvature.is_finite() && lowest.abs() > NEAR {
-                tries.push(at(lowest));
-            }
-            let found = tries.into_iter().min_by(|a, b| a.2.total_cmp(&b.2)).filter(|t| t.2 < cost - GAIN);
-            let far = found.as_ref().map_or(0.0, |(far, ..)| far.abs());
-            *rests = far < STEPS.1;
-            *step = (2.0 * far).clamp(STEPS.1, STEPS.2);
-            moved += far;
-            if let Some((_, there, lower)) = found {
-                (best, cost) = (there, lower);
+    let mut step = STEPS.0;
+    while step > STEPS.1 {
+        let mut improved = false;
+        for coordinate in 0..coordinates {
+            for direction in [-1.0, 1.0] {
+                let mut trial = best.clone();
+                shift(&mut trial, coordinate, direction * step);
+                if trial == best {
+                    continue;
+                }
+                let trial_cost = cost_at(&trial);
+                if trial_cost < cost {
+                    (best, cost, improved) = (trial, trial_cost, true);
+                    break;
+                }
             }
         }
-        if rests.iter().all(|rests| *rests) {
-            if moved < AGAIN {
-                break;
-            }
-            rests.fill(false);
-            moved = 0.0;
+        if !improved {
+            step /= 2.0;
         }
     }
     best
