@@ -101,7 +101,9 @@ pub(super) fn serve(graph: &Graph, settings: &Settings, space: &Space, stream: U
         if gone {
             std::thread::sleep(Duration::from_millis(*VISIT.start() as u64));
         }
-        for order in line.receive(scribe.rest).unwrap_or_else(|_| {
+        // Who is told to finish takes what is left at once.
+        let rest = if finish.is_some() { *VISIT.start() } else { scribe.rest };
+        for order in line.receive(rest).unwrap_or_else(|_| {
             // Somebody else speaks on the line: the launcher is none.
             line.hang_up();
             Vec::new()
