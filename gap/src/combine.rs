@@ -107,6 +107,22 @@ fn again(setup: &Setup, null: &Fit, known: &Fit, beside: &Fit, judge: &Judge) ->
     (better && library::is_possible(setup, &single)).then_some(single)
 }
 
+/// The forms that have fewer parameters than those that explain most, fitted again from there, as long as one of theirs is to
+/// spare: one that does no more than a simpler form need not have found more than that one would.
+pub fn forms_to_spare(setup: &Setup, null: &Fit, fits: &[Fit], judge: &Judge) -> Vec<(usize, Fit)> {
+    let of_leaders = fits.iter().take(BASES).filter(|leader| leader.has_spare(0));
+    let simpler = of_leaders.flat_map(|leader| {
+        let (label, size) = (leader.hypothesis.label(), leader.hypothesis.fitted.len());
+        let has_less = move |fit: &Fit| fit.hypothesis.label() == label && fit.hypothesis.fitted.len() < size;
+        fits.iter().enumerate().filter(move |(_, fit)| has_less(fit)).map(move |(k, fit)| (k, fit, leader))
+    });
+    let simpler: Vec<(usize, &Fit, &Fit)> = simpler.filter(|_| !setup.stop.asked()).collect();
+    simpler
+        .into_par_iter()
+        .filter_map(|(k, fit, leader)| Some((k, again(setup, null, fit, leader, judge)?)))
+        .collect()
+}
+
 /// Each effect of a pair [`again`].
 fn restarted(setup: &Setup, null: &Fit, fit: &Fit, fits: &[Fit], judge: &Judge) -> Vec<Fit> {
     if fit.hypothesis.effects.len() != 2 || setup.stop.leaves_out(|| SEVERAL.into()) {

@@ -167,6 +167,8 @@ fn weigh_all(
     if setup.stop.asked() {
         return Err(DiagnosisError::Stopped);
     }
+    // Parameters that are off show most at the frequencies of the commands, and hide what repeats at another.
+    let setup = setup.with_more_lines_of(&null.innovation.pass);
     let nuisance = Nuisance::new(&null);
     let (mut candidates, mut not_testable) = library::candidates(&setup);
     candidates.extend(outgrown(&setup, &null));

@@ -214,7 +214,12 @@ pub fn weigh(
     done: &(dyn Fn(&str) + Sync),
 ) -> Posterior {
     let judge = Judge::new(null, &fits);
-    fits.sort_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
+    let by_cost = |a: &Fit, b: &Fit| judge.cost(a).total_cmp(&judge.cost(b));
+    fits.sort_by(by_cost);
+    for (k, better) in combine::forms_to_spare(setup, null, &fits, &judge) {
+        fits[k] = better;
+    }
+    fits.sort_by(by_cost);
     let all_forms: Vec<EffectAt> =
         fits.iter().filter_map(|f| f.hypothesis.effects.first().cloned()).collect();
     let forms = best_forms(&mut fits);

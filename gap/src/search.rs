@@ -160,7 +160,13 @@ enum Effort {
     Full,
     /// A few steps, for what the screen found far behind.
     Light,
+    /// None by innovation likelihood, for what windows found too far behind to be any answer.
+    Least,
 }
+
+/// Difference of −2 log evidence by windows to the best hypothesis from which one is no answer, unless it is among so many that
+/// a score test of innovations promises most of.
+const HOPELESS: (f64, usize) = (200.0, 20);
 
 /// Fits a hypothesis by short windows from the given starts.
 fn shoot_from(
@@ -199,8 +205,8 @@ fn refine(
     let refine = |start: &[f64], iterations: usize| {
         fit(&simulator, &hypothesis, &setup.train, &setup.noise, &null.innovation.noise, start, iterations)
     };
-    if effort == Effort::Light {
-        let innovation = refine(&shot.minimum.theta, 1);
+    if effort != Effort::Full {
+        let innovation = refine(&shot.minimum.theta, usize::from(effort == Effort::Light));
         return assemble(setup, hypothesis, Vec::new(), innovation, shot);
     }
     let mut innovation = refine(&shot.minimum.theta, ITERATIONS);
@@ -380,6 +386,9 @@ pub fn fit_all(
         _ => Vec::new(),
     });
     let finalist = |k: usize| finalists[k] || k < leading;
+    let best = costs.iter().copied().fold(f64::INFINITY, f64::min);
+    let hopeless: Vec<bool> =
+        costs.iter().enumerate().map(|(k, cost)| *cost > best + HOPELESS.0 && k >= HOPELESS.1).collect();
     let all: Vec<(usize, (Screened, Option<Shot>))> = screened.into_iter().zip(shots).enumerate().collect();
     all.into_par_iter()
         .filter_map(|(k, (screened, shot))| {
@@ -388,7 +397,10 @@ pub fn fit_all(
             if !finalist(k) && setup.stop.leaves_out(|| untried(&screened.hypothesis)) {
                 return None;
             }
-            let effort = effort(finalist(k) && !setup.stop.asked());
+            let effort = match effort(finalist(k) && !setup.stop.asked()) {
+                Effort::Light if hopeless[k] => Effort::Least,
+                effort => effort,
+            };
             let fit = refine(setup, base, screened.hypothesis, shot, &screened.first, effort);
             done(&label);
             Some(fit)
@@ -407,15 +419,27 @@ pub fn fit_hypothesis(setup: &Setup, base: &Fit, hypothesis: Hypothesis) -> Fit 
     }
 }
 
-/// Fits some of the effects of a fitted hypothesis, from where they are in it.
+/// Fits some of the effects of a fitted hypothesis, from where they are in it; an effect in another form from where its
+/// parameters are that both forms have.
 #[must_use]
 pub fn fit_part(setup: &Setup, null: &Fit, hypothesis: Hypothesis, whole: &Fit) -> Fit {
     let mut start: Vec<f64> = hypothesis.fitted.iter().map(|f| f.null).collect();
     for (e, at) in hypothesis.effects.iter().enumerate() {
-        let Some(of) = whole.hypothesis.effects.iter().position(|other| other == at) else { continue };
+        let known = whole.hypothesis.effects.iter();
+        let same = known.clone().position(|other| other == at);
+        let Some(of) = same.or_else(|| known.clone().position(|other| other.label() == at.label())) else {
+            continue;
+        };
+        let other = &whole.hypothesis.effects[of].effect;
         for (value, fitted) in start.iter_mut().zip(&hypothesis.fitted) {
             let slot = match fitted.slot {
-                Slot::Effect { effect, parameter } if effect == e => Slot::Effect { effect: of, parameter },
+                Slot::Effect { effect, parameter } if effect == e => {
+                    let name = at.effect.parameters()[parameter].name;
+                    let Some(parameter) = other.parameters().iter().position(|spec| spec.name == name) else {
+                        continue;
+                    };
+                    Slot::Effect { effect: of, parameter }
+                }
                 Slot::Nominal(index) => Slot::Nominal(index),
                 _ => continue,
             };

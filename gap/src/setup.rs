@@ -364,12 +364,26 @@ impl Setup {
         setup
     }
 
+    /// The same data, with the lines in time of a fit beside those that it has.
+    #[must_use]
+    pub fn with_more_lines_of(mut self, pass: &Pass) -> Setup {
+        for line in spectrum::frequencies(&pass.stamp, &pass.whitened(), self.period) {
+            if self.frequencies.iter().all(|known| (line - known).abs() > SAME_LINE * known) {
+                self.frequencies.push(line);
+            }
+        }
+        self
+    }
+
     /// A rate of change of the states that the data suggest: output scale over the horizon.
     fn typical_rate(&self) -> f64 {
         let largest = self.output_scale.iter().copied().fold(0.0, f64::max);
         largest / (self.horizon * self.horizon)
     }
 }
+
+/// Share by which two lines differ at most that are one.
+const SAME_LINE: f64 = 0.01;
 
 /// Which of every three blocks is held out at first.
 pub const HELD_OUT: usize = 2;

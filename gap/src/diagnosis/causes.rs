@@ -6,6 +6,7 @@ use crate::answers;
 use crate::posterior::Posterior;
 use crate::quantify::Row;
 use crate::readings::{self, Acted, ReadingEffect};
+use crate::report::FittedEffect;
 use crate::rows::Rows;
 use crate::search::Fit;
 use crate::setup::Setup;
@@ -17,6 +18,11 @@ const MEAN_EXPLAINED: f64 = 3.0;
 const OF_FORM: f64 = 0.03;
 /// The same at an input, where kicks are everywhere.
 const OF_FORM_AT_INPUT: f64 = 0.3;
+
+/// How much more than their mean lowers the cost times that scatter must say, and the part that they explain of what a free density
+/// gains, to be the cause in its place where nothing predicts what is left.
+const OUTWEIGHS: f64 = 5.0;
+const MOST: f64 = 0.9;
 
 /// Share of a noise that must be left beside times that scatter for it to be a cause of its own.
 const OWN_NOISE: f64 = 0.5;
@@ -101,7 +107,7 @@ impl<'a> Models<'a> {
     pub(super) fn causes(&self, readings: &[ReadingEffect]) -> Vec<ReadingEffect> {
         let chosen = readings.iter().filter(|r| {
             r.significant
-                && (self.mean_explained || self.moves_by_chance(r))
+                && (self.mean_explained || self.moves_by_chance(r) || self.names_its_mean(r))
                 && !self.clipped(r)
                 && !self.of_times(r, readings)
                 && !self.of_form(r)
@@ -150,9 +156,28 @@ impl<'a> Models<'a> {
 
     /// Whether the named answer holds what these times are late by on average.
     fn has_mean_of(&self, r: &ReadingEffect) -> bool {
+        self.means_of(r).iter().any(|(place, is_mean)| *is_mean && *place == r.place)
+    }
+
+    /// Whether the named answer is no more than what the times of these readings are late by on average, which by chance are late
+    /// far more than that: what is late anywhere shows everywhere behind it.
+    fn names_its_mean(&self, r: &ReadingEffect) -> bool {
+        let means = self.means_of(r);
+        r.name == "jitter"
+            && r.place.starts_with("output:")
+            && self.by_chance
+            && !means.is_empty()
+            && means.iter().all(|(_, is_mean)| *is_mean)
+            && -r.evidence > OUTWEIGHS * self.gain
+            && r.share.is_some_and(|share| share > MOST)
+    }
+
+    /// The places of the named effects, and whether each may be what times that scatter so are late by on average.
+    fn means_of(&self, r: &ReadingEffect) -> Vec<(String, bool)> {
         let spread = r.parameters.get("spread").map_or(0.0, |spread| spread.value);
         let fitted = if self.named { answers::fitted_effects(self.setup, self.shown) } else { Vec::new() };
-        fitted.iter().any(|e| e.place == r.place && answers::is_mean_of(self.setup, e, spread))
+        let is_mean = |e: &FittedEffect| answers::is_mean_of(self.setup, e, spread);
+        fitted.into_iter().map(|e| (e.place.clone(), is_mean(&e))).collect()
     }
 
     /// The form of a named effect is off by a little, which leaves traces where commands or readings change.

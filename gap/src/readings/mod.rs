@@ -39,16 +39,13 @@ pub use raw::{Suspicion, Suspicious, cleaned, examine};
 pub(crate) use scatter::noise_beside;
 pub use scatter::{over_horizon, over_readings, scatter};
 
-/// Share of the evidence of bad readings, or of times that scatter elsewhere, below which times that scatter are what these
+/// Share of the evidence of bad readings, of a lattice, or of times that scatter elsewhere, below which times that scatter are what these
 /// leave behind.
 const TRACE: f64 = 0.1;
 
 /// The same at the bad readings' own place: the smaller ones are found where the reading hardly moves, and stay where it is
 /// fast.
 const TRACE_THERE: f64 = 0.3;
-
-/// Share of a lattice's evidence below which times that scatter are how its steps fall where the reading moves slowly.
-const OF_LATTICE: f64 = 0.02;
 
 /// Whether an effect is what a stronger one leaves behind: bad readings that were not all taken out look like times that
 /// scatter, times that scatter widely look like bad readings, and a coarse lattice repeats its values and is off by what the reading's rate decides.
@@ -61,7 +58,7 @@ pub fn is_trace(effect: &ReadingEffect, all: &[ReadingEffect]) -> bool {
     match effect.name.as_str() {
         "jitter"
             if found(&["quantization"])
-                .any(|e| effect.place == e.place && effect.evidence > OF_LATTICE * e.evidence) =>
+                .any(|e| effect.place == e.place && effect.evidence > TRACE * e.evidence) =>
         {
             true
         }

@@ -1,0 +1,32 @@
+//! A wave beside parameters that are far off as they are stated: what these leave at the frequencies of the commands hides it until
+//! they are calibrated.
+
+#[allow(dead_code)]
+mod support;
+
+use parallax_gap::diagnosis::{Options, diagnose_experiment};
+use parallax_model::system::System;
+use support::{Hidden, SYSTEM, record};
+
+#[test]
+fn a_wave_is_found_whose_frequency_shows_after_calibration_only() {
+    let stated = SYSTEM
+        .replace("J = { value = 0.0125", "J = { value = 0.018")
+        .replace("k = { value = 0.12", "k = { value = 0.17")
+        .replace(", std = 0.001", "")
+        .replace(", std = 0.006", "");
+    let system = System::parse(&stated, "pendulum.toml").expect("the system is valid");
+    let equations = system.equations().expect("the equations are complete");
+    let hidden = Hidden { vibration: (0.02, 7.7), ..Hidden::default() };
+    let found =
+        diagnose_experiment(equations, record(hidden, 5, 12.0), "pendulum", &Options::default(), &|_, _| ())
+            .expect("it can be");
+    let leader = &found.report.which[0];
+    assert_eq!(
+        leader.class.first().map(String::as_str),
+        Some("periodic_disturbance@joint:shaft"),
+        "{leader:?}"
+    );
+    let frequency = &leader.effects[0].parameters["frequency"];
+    assert!((frequency.value - 7.7).abs() < 3.0 * frequency.std + 0.01, "{frequency:?}");
+}
