@@ -1,11 +1,12 @@
 //! Limits at which the readings of a clipped sensor would rest.
 
-/// Standard deviations of noise within which readings of one level lie.
-const RESTING: f64 = 6.0;
+/// Standard deviations of noise within which readings of one level lie: of the noise as it is stated, which may be twice what
+/// it is.
+const RESTING: [f64; 2] = [6.0, 3.0];
 
-/// How far below readings are counted to compare with, in the same unit. At the top of a smooth motion readings lie as
+/// How many times as far below readings are counted to compare with. At the top of a smooth motion readings lie as
 /// densely within the first interval as between its end and four times as far: depth goes with the square of time.
-const BELOW: f64 = 24.0;
+const BELOW: f64 = 4.0;
 
 /// How many times denser than at the top of a smooth motion readings that rest are.
 const DENSER: f64 = 2.0;
@@ -39,15 +40,17 @@ pub(crate) fn limit(readings: &[f64], noise: f64, upper: bool) -> Limit {
         Limit { low: a.min(b), high: a.max(b), level: level.map(|level| sign * level) }
     };
     let skipped = (BEYOND * sorted.len() as f64) as usize;
-    for (beyond, top) in sorted.iter().enumerate().take(skipped + 1) {
-        let within = |depth: f64| sorted.partition_point(|y| *y >= top - depth * noise);
-        let (resting, below) = (within(RESTING) - beyond, within(BELOW) - within(RESTING));
-        if resting >= FEWEST && resting as f64 > DENSER * below as f64 {
-            let level = sorted[beyond + resting / 2];
-            return found(level - noise, Some(level));
+    for depth in RESTING {
+        for (beyond, top) in sorted.iter().enumerate().take(skipped + 1) {
+            let within = |depth: f64| sorted.partition_point(|y| *y >= top - depth * noise);
+            let (resting, below) = (within(depth) - beyond, within(BELOW * depth) - within(depth));
+            if resting >= FEWEST && resting as f64 > DENSER * below as f64 {
+                let level = sorted[beyond + resting / 2];
+                return found(level - noise, Some(level));
+            }
         }
     }
-    found(extreme - RESTING * noise, None)
+    found(extreme - RESTING[0] * noise, None)
 }
 
 #[cfg(test)]
@@ -68,6 +71,19 @@ mod tests {
         assert_eq!(level(&swing(2.0), true), None);
         let mirrored: Vec<f64> = swing(0.7).iter().map(|y| -y).collect();
         assert!(level(&mirrored, false).is_some_and(|level| (level + 0.7).abs() < 0.001));
+    }
+
+    #[test]
+    fn a_noise_that_is_half_of_what_is_stated_hides_no_limit() {
+        // So often far below the limit that readings within six times the stated noise are no denser than further down.
+        let mut readings = swing(0.9);
+        readings.iter_mut().skip(1000).for_each(|y| *y *= 0.95);
+        assert!(
+            limit(&readings, 0.0025, true).level.is_some_and(|level| (level - 0.9).abs() < 0.001),
+            "{:?}",
+            limit(&readings, 0.0025, true)
+        );
+        assert_eq!(limit(&readings, 0.0025, false).level, None);
     }
 
     #[test]
