@@ -20,7 +20,7 @@ use crate::setup::Setup;
 pub(super) const TOLD: f64 = 10.0;
 
 /// Difference of −2 log evidence by which they must beat every other answer.
-const DECISIVE: f64 = 20.0;
+const DECISIVE: f64 = 10.0;
 
 /// Commands of one input that acted otherwise than they were recorded.
 #[derive(Clone, Debug)]

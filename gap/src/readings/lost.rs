@@ -25,6 +25,9 @@ const LOOKS: usize = 3;
 /// Rounds under a fit to what is believed, at most.
 const ROUNDS: usize = 8;
 
+/// Rounds that bring nothing, after which nothing more is expected: beliefs may go back and forth.
+const PATIENCE: usize = 2;
+
 /// Share of the commands beyond which it is no loss but another effect.
 const MOST: f64 = 0.4;
 
@@ -45,7 +48,8 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
     let mut believed = Believed { clean: setup.clone(), input, sent: &setup.experiment.inputs[input] };
     let mut noise = base.innovation.noise.clone();
     let first = believed.look(base, &noise)?.1;
-    if first.gain < TOLD {
+    // Losses that hardly show above the process noise that they were taken for show once there is less of it.
+    if first.gain < TOLD && first.otherwise.is_empty() {
         return None;
     }
     believed.revise(&first.otherwise);
@@ -59,8 +63,9 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
         noise.log_process = (noise.log_process - STEP).max(setup.noise.process_floor);
     }
     let mut best: Option<(f64, f64, f64, Held)> = None;
+    let mut worse = 0;
     for _ in 0..ROUNDS {
-        if believed.losses(|_| true) == 0 || setup.stop.asked() {
+        if worse == PATIENCE || believed.losses(|_| true) == 0 || setup.stop.asked() {
             break;
         }
         let fit = refitted(&believed.clean, base);
@@ -68,7 +73,9 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
         let cost = fit.innovation.evidence_cost + believed.price(&kicks);
         // What leaves predictions worse than no loss at all is no loss.
         let nearer = fit.shooting_error <= base.shooting_error;
+        worse += 1;
         if nearer && best.as_ref().is_none_or(|(least, ..)| cost < *least) {
+            worse = 0;
             best = Some((cost, fit.shooting_error, lost.rate, believed.acted().clone()));
         }
         if !believed.revise(&lost.otherwise) {
