@@ -155,18 +155,32 @@ fn walk_along(
     filter(run, &starts, simulator.states(), parameters, &model.scale, noise)
 }
 
+/// What is known of the noise where a fit begins.
+#[derive(Clone, Copy, Debug)]
+pub enum Known<'a> {
+    /// Hardly anything: it may be far from this one.
+    Nothing(&'a Noise),
+    /// It is this one under a hypothesis that is contained.
+    Contained(&'a Noise),
+}
+
 /// Fits a hypothesis from one starting point.
 pub fn fit(
     simulator: &dyn Simulator,
     hypothesis: &Hypothesis,
     segments: &[Segment],
     model: &NoiseModel,
-    noise: &Noise,
+    known: Known<'_>,
     start: &[f64],
     iterations: usize,
 ) -> InnovationFit {
+    let (Known::Nothing(first) | Known::Contained(first)) = known;
+    let better_noise = |pass: &Pass, noise: &Noise| {
+        let refit = if matches!(known, Known::Nothing(_)) { Pass::refit_noise } else { Pass::mend_noise };
+        refit(pass, &model.scale, noise, &model.limits, model.process_floor)
+    };
     let p = simulator.parameters();
-    let mut noise = noise.clone();
+    let mut noise = first.clone();
     let mut last: Option<(Vec<f64>, Pass)> = None;
     let minimum = minimise(&hypothesis.fitted, start, iterations, |theta, accepted| {
         let known = last.take().filter(|(at, _)| at == theta);
@@ -175,7 +189,7 @@ pub fn fit(
             None => walk(simulator, segments, model, &noise, theta),
         };
         if accepted {
-            let better = pass.refit_noise(&model.scale, &noise, &model.limits, model.process_floor);
+            let better = better_noise(&pass, &noise);
             if better != noise {
                 let again = walk(simulator, segments, model, &better, theta);
                 // The search is around a linearised walk: it counts only if the walk itself agrees.

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use crate::filter::{Noise, Pass};
 use crate::fit::{Minimum, TEMPERATURE};
 use crate::hypothesis::{EffectAt, Hypothesis, Slot};
-use crate::innovation::{InnovationFit, fit, walk};
+use crate::innovation::{InnovationFit, Known, fit, walk};
 use crate::library;
 use crate::ridge::Ridge;
 use crate::setup::Setup;
@@ -126,7 +126,8 @@ pub fn null(setup: &Setup) -> Fit {
     let hypothesis = library::hypothesis(setup, &[]);
     let simulator = library::simulator(setup, &hypothesis, Vec::new());
     let start: Vec<f64> = hypothesis.fitted.iter().map(|f| f.null).collect();
-    let innovation = fit(&simulator, &hypothesis, &setup.train, &setup.noise, &noise, &start, ITERATIONS);
+    let innovation =
+        fit(&simulator, &hypothesis, &setup.train, &setup.noise, Known::Nothing(&noise), &start, ITERATIONS);
     let windows = windows(setup, &simulator, &innovation.pass);
     let shot = fit_windows(setup, &simulator, &hypothesis, &windows, &innovation.minimum.theta, ITERATIONS);
     assemble(setup, hypothesis, Vec::new(), innovation, shot)
@@ -202,8 +203,9 @@ fn refine(
     effort: Effort,
 ) -> Fit {
     let simulator = library::simulator(setup, &hypothesis, Vec::new());
+    let known = Known::Contained(&null.innovation.noise);
     let refine = |start: &[f64], iterations: usize| {
-        fit(&simulator, &hypothesis, &setup.train, &setup.noise, &null.innovation.noise, start, iterations)
+        fit(&simulator, &hypothesis, &setup.train, &setup.noise, known, start, iterations)
     };
     if effort != Effort::Full {
         let innovation = refine(&shot.minimum.theta, usize::from(effort == Effort::Light));
@@ -465,8 +467,8 @@ pub fn fit_from(
 ) -> Fit {
     let simulator = library::simulator(setup, &hypothesis, residuals.clone());
     // Weights enter linearly, so few steps reach the minimum.
-    let innovation =
-        fit(&simulator, &hypothesis, &setup.train, &setup.noise, &base.innovation.noise, start, FEW);
+    let known = Known::Contained(&base.innovation.noise);
+    let innovation = fit(&simulator, &hypothesis, &setup.train, &setup.noise, known, start, FEW);
     let windows = windows(setup, &simulator, &base.innovation.pass);
     // From where the windows left the base, which may differ from where the innovations did.
     let mut from = start.to_vec();

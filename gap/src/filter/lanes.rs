@@ -9,7 +9,7 @@ use crate::simulator::{Gradient, LANES, Motion};
 
 /// The entries of a matrix that can differ from zero, row by row.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Pattern(Vec<Vec<usize>>);
+pub(super) struct Pattern(pub(super) Vec<Vec<usize>>);
 
 impl Pattern {
     /// Of the transition of `live.len()` states.
@@ -32,7 +32,7 @@ impl Pattern {
 
 /// P ← Φ P Φᵀ + dt (Φ_½ B Φ_½ᵀ), with Φ_½ = (I + Φ)/2: the noise enters, on average, in the middle of the step.
 #[inline(always)]
-fn propagate<T: Scalar>(
+pub(super) fn propagate<T: Scalar>(
     pattern: &Pattern,
     phi: &[T],
     dt: T,
@@ -74,7 +74,14 @@ fn propagate<T: Scalar>(
 
 /// Variance of the innovation of a reading with gradient `h`, which is zero but for the states `seen`; the gain of lanes that read, zero in the others.
 #[inline(always)]
-fn innovate<T: Scalar>(seen: &[usize], h: &[T], noise: T, rests: T::Mask, p: &[T], gain: &mut [T]) -> T {
+pub(super) fn innovate<T: Scalar>(
+    seen: &[usize],
+    h: &[T],
+    noise: T,
+    rests: T::Mask,
+    p: &[T],
+    gain: &mut [T],
+) -> T {
     let zero = T::constant(0.0);
     let n = gain.len();
     let mut variance = noise;
@@ -96,7 +103,7 @@ fn innovate<T: Scalar>(seen: &[usize], h: &[T], noise: T, rests: T::Mask, p: &[T
 
 /// P ← P − K s Kᵀ in the lanes that read.
 #[inline(always)]
-fn update<T: Scalar>(n: usize, gain: &[T], variance: T, rests: T::Mask, p: &mut [T]) {
+pub(super) fn update<T: Scalar>(n: usize, gain: &[T], variance: T, rests: T::Mask, p: &mut [T]) {
     let zero = T::constant(0.0);
     for i in 0..n {
         let scaled = T::select(rests, zero, gain[i] * variance);

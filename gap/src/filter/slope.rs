@@ -1,0 +1,158 @@
+//! How the likelihood of a tape changes with the logarithms of its noise's variances: exact first derivatives, and Fisher's information
+//! of the innovations (Gupta & Mehra 1974, "Computational aspects of maximum likelihood estimation and reduction in sensitivity
+//! function calculations").
+
+use parallax_model::Scalar;
+use parallax_model::lanes::{F64x16, InMemory, Kernel, Simd};
+
+use super::lanes::{innovate, propagate, update};
+use super::{NOTHING, Tape, Tick};
+use parallax_model::fit::Local;
+
+use crate::simulator::LANES;
+
+/// −2 log likelihood of a tape at another noise, half its gradient and half of what its Hessian is expected to be.
+pub(super) struct Slope<'a> {
+    pub(super) tape: &'a Tape,
+    pub(super) states: usize,
+    pub(super) intensity: &'a [f64],
+    pub(super) output: &'a [f64],
+    /// Whose variances move: none for the process noise, or an output.
+    pub(super) moving: &'a [Option<usize>],
+}
+
+impl Kernel for Slope<'_> {
+    type Output = Local;
+
+    #[inline(always)]
+    fn run<S: Simd>(self) -> Local {
+        let (n, m) = (self.states, self.moving.len());
+        let numbers = F64x16::registers::<S>(&self.tape.numbers);
+        let zero = <F64x16 as InMemory>::load::<S>(&F64x16::splat(0.0));
+        let mut p = vec![zero; n * n];
+        for (i, variance) in F64x16::registers::<S>(&self.tape.start_variance).iter().enumerate() {
+            p[i * n + i] = *variance;
+        }
+        let quiet = vec![0.0; n];
+        let mut scratch = vec![zero; 2 * n * n];
+        let (mut deviation, mut gain, mut moved) = (vec![zero; n], vec![zero; n], vec![zero; n]);
+        // Derivatives of the covariance, of the deviation, of P h, of the innovation and of its variance.
+        let (mut by_p, mut by_deviation) = (vec![zero; m * n * n], vec![zero; m * n]);
+        let (mut by_gain, mut by_innovation, mut by_variance) = (vec![zero; n], vec![zero; m], vec![zero; m]);
+        let (mut cost, mut gradient, mut information) = (zero, vec![zero; m], vec![zero; m * m]);
+        for tick in &self.tape.ticks {
+            match tick {
+                Tick::Advance { dt, by_state, pattern } => {
+                    let phi = &numbers[*by_state..*by_state + n * n];
+                    let dt = <F64x16 as InMemory>::load::<S>(dt);
+                    let pattern = &self.tape.patterns[*pattern];
+                    let mut carry = |vector: &mut [_]| {
+                        for (moved, (row, phi)) in moved.iter_mut().zip(pattern.0.iter().zip(phi.chunks(n))) {
+                            let mut sum = zero;
+                            for &k in row {
+                                sum += phi[k] * vector[k];
+                            }
+                            *moved = sum;
+                        }
+                        vector.copy_from_slice(&moved);
+                    };
+                    carry(&mut deviation);
+                    by_deviation.chunks_mut(n).for_each(carry);
+                    propagate(pattern, phi, dt, self.intensity, &mut p, &mut scratch);
+                    for (of, by_p) in self.moving.iter().zip(by_p.chunks_mut(n * n)) {
+                        let own = if of.is_none() { self.intensity } else { &quiet };
+                        propagate(pattern, phi, dt, own, by_p, &mut scratch);
+                    }
+                }
+                Tick::Read { by_state, seen, gain: stored, innovation, output, weighs } => {
+                    let (mut noise, mut active) = (F64x16::splat(1.0), F64x16::splat(0.0));
+                    for lane in (0..LANES).filter(|lane| output[*lane] != NOTHING) {
+                        noise[lane] = self.output[output[lane] as usize];
+                        active[lane] = 1.0;
+                    }
+                    let rests = <F64x16 as InMemory>::load::<S>(&active).eq(zero);
+                    let noise = <F64x16 as InMemory>::load::<S>(&noise);
+                    let recorded = <F64x16 as InMemory>::load::<S>(innovation);
+                    let h = &numbers[*by_state..*by_state + n];
+                    let seen = &self.tape.seen[seen.clone()];
+                    let variance = innovate(seen, h, noise, rests, &p, &mut gain);
+                    let inverse = zero + 1.0;
+                    let inverse = inverse / variance;
+                    let mut innovation = recorded;
+                    for &i in seen {
+                        innovation -= h[i] * deviation[i];
+                    }
+                    for (k, of) in self.moving.iter().enumerate() {
+                        let by_p = &mut by_p[k * n * n..(k + 1) * n * n];
+                        let by_deviation = &mut by_deviation[k * n..(k + 1) * n];
+                        let mut of_variance = zero;
+                        if let Some(own) = of {
+                            let mut noise = F64x16::splat(0.0);
+                            for lane in (0..LANES).filter(|lane| usize::from(output[*lane]) == *own) {
+                                noise[lane] = self.output[*own];
+                            }
+                            of_variance = <F64x16 as InMemory>::load::<S>(&noise);
+                        }
+                        for (i, by_gain) in by_gain.iter_mut().enumerate() {
+                            let mut sum = zero;
+                            for &j in seen {
+                                sum += by_p[i * n + j] * h[j];
+                            }
+                            *by_gain = sum;
+                        }
+                        let mut of_innovation = zero;
+                        for &i in seen {
+                            of_variance += h[i] * by_gain[i];
+                            of_innovation -= h[i] * by_deviation[i];
+                        }
+                        for i in 0..n {
+                            let of_gain =
+                                Scalar::select(rests, zero, (by_gain[i] - gain[i] * of_variance) * inverse);
+                            by_deviation[i] += of_gain * innovation + gain[i] * of_innovation;
+                            let scaled = by_gain[i] - gain[i] * of_variance;
+                            for j in 0..n {
+                                by_p[i * n + j] -= scaled * gain[j] + gain[i] * by_gain[j];
+                            }
+                        }
+                        by_variance[k] = of_variance;
+                        by_innovation[k] = of_innovation;
+                    }
+                    for i in 0..n {
+                        let change = gain[i] * innovation - numbers[stored + i] * recorded;
+                        deviation[i] += Scalar::select(rests, zero, change);
+                    }
+                    update(n, &gain, variance, rests, &mut p);
+                    let ignored = <F64x16 as InMemory>::load::<S>(weighs).eq(zero);
+                    let weight = Scalar::select(ignored, zero, inverse);
+                    let square = innovation * innovation * inverse;
+                    cost += Scalar::select(ignored, zero, square + variance.ln());
+                    for k in 0..m {
+                        let half = by_variance[k] * (zero + 1.0 - square) * 0.5;
+                        gradient[k] += (innovation * by_innovation[k] + half) * weight;
+                        let (of_innovation, of_variance) =
+                            (by_innovation[k] * weight, by_variance[k] * weight * inverse * 0.5);
+                        for j in 0..=k {
+                            information[k * m + j] +=
+                                of_innovation * by_innovation[j] + of_variance * by_variance[j];
+                        }
+                    }
+                }
+            }
+        }
+        let sum = |of| {
+            let mut out = F64x16::splat(0.0);
+            <F64x16 as InMemory>::store::<S>(&mut out, of);
+            out.to_array().iter().sum::<f64>()
+        };
+        for k in 0..m {
+            for j in 0..k {
+                information[j * m + k] = information[k * m + j];
+            }
+        }
+        Local {
+            cost: sum(cost),
+            gradient: gradient.into_iter().map(sum).collect(),
+            information: information.into_iter().map(sum).collect(),
+        }
+    }
+}
