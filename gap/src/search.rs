@@ -126,8 +126,15 @@ pub fn null(setup: &Setup) -> Fit {
     let hypothesis = library::hypothesis(setup, &[]);
     let simulator = library::simulator(setup, &hypothesis, Vec::new());
     let start: Vec<f64> = hypothesis.fitted.iter().map(|f| f.null).collect();
-    let innovation =
-        fit(&simulator, &hypothesis, &setup.train, &setup.noise, Known::Nothing(&noise), &start, ITERATIONS);
+    let fitted = |known: Known<'_>, start: &[f64]| {
+        fit(&simulator, &hypothesis, &setup.train, &setup.noise, known, start, ITERATIONS)
+    };
+    let mut innovation = fitted(Known::Nothing(&noise), &start);
+    // The noise of other hypotheses is fitted from this one, as closely: a gain of theirs must not be one of the search.
+    let closer = fitted(Known::Contained(&innovation.noise), &innovation.minimum.theta);
+    if closer.evidence_cost < innovation.evidence_cost {
+        innovation = closer;
+    }
     let windows = windows(setup, &simulator, &innovation.pass);
     let shot = fit_windows(setup, &simulator, &hypothesis, &windows, &innovation.minimum.theta, ITERATIONS);
     assemble(setup, hypothesis, Vec::new(), innovation, shot)
