@@ -160,8 +160,8 @@ fn walk_along(
 pub enum Known<'a> {
     /// Hardly anything: it may be far from this one.
     Nothing(&'a Noise),
-    /// It is this one under a hypothesis that is contained.
-    Contained(&'a Noise),
+    /// It is that of this fit, of a hypothesis that is contained.
+    Contained(&'a InnovationFit),
 }
 
 /// Fits a hypothesis from one starting point.
@@ -174,27 +174,37 @@ pub fn fit(
     start: &[f64],
     iterations: usize,
 ) -> InnovationFit {
-    let (Known::Nothing(first) | Known::Contained(first)) = known;
-    let better_noise = |pass: &Pass, noise: &Noise| {
-        let refit = if matches!(known, Known::Nothing(_)) { Pass::refit_noise } else { Pass::mend_noise };
-        refit(pass, &model.scale, noise, &model.limits, model.process_floor)
+    let outputs = model.limits.len();
+    let (first, mut excess) = match known {
+        Known::Nothing(noise) => (noise, Vec::new()),
+        Known::Contained(fit) => (&fit.noise, fit.pass.excess(outputs)),
+    };
+    let better_noise = |pass: &Pass, noise: &Noise, excess: &[(f64, usize)]| {
+        let (scale, limits, floor) = (&model.scale, &model.limits, model.process_floor);
+        match known {
+            Known::Nothing(_) => pass.refit_noise(scale, noise, limits, floor),
+            Known::Contained(_) => pass.mend_noise(scale, noise, limits, floor, excess),
+        }
     };
     let p = simulator.parameters();
     let mut noise = first.clone();
     let mut last: Option<(Vec<f64>, Pass)> = None;
+    // A start may be worse than where the noise is known from; after a step it is not.
+    let mut begun = matches!(known, Known::Nothing(_));
     let minimum = minimise(&hypothesis.fitted, start, iterations, |theta, accepted| {
         let known = last.take().filter(|(at, _)| at == theta);
         let mut pass = match known {
             Some((_, pass)) => pass,
             None => walk(simulator, segments, model, &noise, theta),
         };
-        if accepted {
-            let better = better_noise(&pass, &noise);
+        if accepted && std::mem::replace(&mut begun, true) {
+            let better = better_noise(&pass, &noise, &excess);
             if better != noise {
                 let again = walk(simulator, segments, model, &better, theta);
                 // The search is around a linearised walk: it counts only if the walk itself agrees.
                 if again.cost() < pass.cost() {
                     (noise, pass) = (better, again);
+                    excess = pass.excess(outputs);
                 }
             }
         }

@@ -279,10 +279,10 @@ pub fn weigh(
         if taken[first] {
             continue;
         }
+        let near = |k: usize| judge.cost(&fits[k]) - judge.cost(&fits[first]) < DECISIVE;
         let mut class: Vec<usize> = (first..fits.len())
             .filter(|&k| {
-                let near = judge.cost(&fits[k]) - judge.cost(&fits[first]) < DECISIVE;
-                let alike = || near && signature::cosine(&signatures[first], &signatures[k]) > SAME;
+                let alike = || near(k) && signature::cosine(&signatures[first], &signatures[k]) > SAME;
                 let effects = |k: usize| fits[k].hypothesis.effects.len();
                 // What contains another is that one where it has something to spare, however little their signatures at
                 // standstill have in common.
@@ -291,6 +291,12 @@ pub fn weigh(
                     && (k == first || gives_way(&fits[first], &fits[k], &judge) || alike())
             })
             .collect();
+        // And so is whatever else contains one of these and is no better.
+        let more: Vec<usize> = (first..fits.len())
+            .filter(|k| !taken[*k] && !class.contains(k) && near(*k))
+            .filter(|k| class.iter().any(|c| gives_way(&fits[*k], &fits[*c], &judge)))
+            .collect();
+        class.extend(more);
         for &k in &class {
             taken[k] = true;
         }

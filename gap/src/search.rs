@@ -131,7 +131,7 @@ pub fn null(setup: &Setup) -> Fit {
     };
     let mut innovation = fitted(Known::Nothing(&noise), &start);
     // The noise of other hypotheses is fitted from this one, as closely: a gain of theirs must not be one of the search.
-    let closer = fitted(Known::Contained(&innovation.noise), &innovation.minimum.theta);
+    let closer = fitted(Known::Contained(&innovation), &innovation.minimum.theta);
     if closer.evidence_cost < innovation.evidence_cost {
         innovation = closer;
     }
@@ -210,7 +210,7 @@ fn refine(
     effort: Effort,
 ) -> Fit {
     let simulator = library::simulator(setup, &hypothesis, Vec::new());
-    let known = Known::Contained(&null.innovation.noise);
+    let known = Known::Contained(&null.innovation);
     let refine = |start: &[f64], iterations: usize| {
         fit(&simulator, &hypothesis, &setup.train, &setup.noise, known, start, iterations)
     };
@@ -474,7 +474,7 @@ pub fn fit_from(
 ) -> Fit {
     let simulator = library::simulator(setup, &hypothesis, residuals.clone());
     // Weights enter linearly, so few steps reach the minimum.
-    let known = Known::Contained(&base.innovation.noise);
+    let known = Known::Contained(&base.innovation);
     let innovation = fit(&simulator, &hypothesis, &setup.train, &setup.noise, known, start, FEW);
     let windows = windows(setup, &simulator, &base.innovation.pass);
     // From where the windows left the base, which may differ from where the innovations did.

@@ -21,6 +21,16 @@ pub(super) struct Slope<'a> {
     pub(super) moving: &'a [Option<usize>],
 }
 
+/// Completes a symmetric matrix whose lower triangle is known.
+#[inline(always)]
+fn mirror<T: Scalar>(n: usize, matrix: &mut [T]) {
+    for i in 0..n {
+        for j in 0..i {
+            matrix[j * n + i] = matrix[i * n + j];
+        }
+    }
+}
+
 impl Kernel for Slope<'_> {
     type Output = Local;
 
@@ -61,23 +71,24 @@ impl Kernel for Slope<'_> {
                     propagate(pattern, phi, dt, self.intensity, &mut p, &mut scratch);
                     for (of, by_p) in self.moving.iter().zip(by_p.chunks_mut(n * n)) {
                         let own = if of.is_none() { self.intensity } else { &quiet };
+                        mirror(n, by_p);
                         propagate(pattern, phi, dt, own, by_p, &mut scratch);
                     }
                 }
                 Tick::Read { by_state, seen, gain: stored, innovation, output, weighs } => {
-                    let (mut noise, mut active) = (F64x16::splat(1.0), F64x16::splat(0.0));
+                    let (mut noise, mut read) = (F64x16::splat(1.0), F64x16::splat(-1.0));
                     for lane in (0..LANES).filter(|lane| output[*lane] != NOTHING) {
                         noise[lane] = self.output[output[lane] as usize];
-                        active[lane] = 1.0;
+                        read[lane] = f64::from(output[lane]);
                     }
-                    let rests = <F64x16 as InMemory>::load::<S>(&active).eq(zero);
                     let noise = <F64x16 as InMemory>::load::<S>(&noise);
+                    let read = <F64x16 as InMemory>::load::<S>(&read);
+                    let rests = read.eq(zero - 1.0);
                     let recorded = <F64x16 as InMemory>::load::<S>(innovation);
                     let h = &numbers[*by_state..*by_state + n];
                     let seen = &self.tape.seen[seen.clone()];
                     let variance = innovate(seen, h, noise, rests, &p, &mut gain);
-                    let inverse = zero + 1.0;
-                    let inverse = inverse / variance;
+                    let inverse = (zero + 1.0) / variance;
                     let mut innovation = recorded;
                     for &i in seen {
                         innovation -= h[i] * deviation[i];
@@ -85,18 +96,14 @@ impl Kernel for Slope<'_> {
                     for (k, of) in self.moving.iter().enumerate() {
                         let by_p = &mut by_p[k * n * n..(k + 1) * n * n];
                         let by_deviation = &mut by_deviation[k * n..(k + 1) * n];
-                        let mut of_variance = zero;
-                        if let Some(own) = of {
-                            let mut noise = F64x16::splat(0.0);
-                            for lane in (0..LANES).filter(|lane| usize::from(output[*lane]) == *own) {
-                                noise[lane] = self.output[*own];
-                            }
-                            of_variance = <F64x16 as InMemory>::load::<S>(&noise);
-                        }
+                        let mut of_variance = match of {
+                            Some(own) => Scalar::select(read.eq(zero + *own as f64), noise, zero),
+                            None => zero,
+                        };
                         for (i, by_gain) in by_gain.iter_mut().enumerate() {
                             let mut sum = zero;
                             for &j in seen {
-                                sum += by_p[i * n + j] * h[j];
+                                sum += by_p[i.max(j) * n + i.min(j)] * h[j];
                             }
                             *by_gain = sum;
                         }
@@ -110,7 +117,7 @@ impl Kernel for Slope<'_> {
                                 Scalar::select(rests, zero, (by_gain[i] - gain[i] * of_variance) * inverse);
                             by_deviation[i] += of_gain * innovation + gain[i] * of_innovation;
                             let scaled = by_gain[i] - gain[i] * of_variance;
-                            for j in 0..n {
+                            for j in 0..=i {
                                 by_p[i * n + j] -= scaled * gain[j] + gain[i] * by_gain[j];
                             }
                         }

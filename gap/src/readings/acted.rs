@@ -22,6 +22,9 @@ pub(super) const TOLD: f64 = 10.0;
 /// Difference of −2 log evidence by which they must beat every other answer.
 const DECISIVE: f64 = 10.0;
 
+/// The same by which a leading effect that reaches the noise must beat the nominal model for this one to be no base to look from.
+const EXPLAINED: f64 = 150.0;
+
 /// Commands of one input that acted otherwise than they were recorded.
 #[derive(Clone, Debug)]
 pub(crate) struct Acted {
@@ -72,6 +75,8 @@ pub(crate) fn acted(
     let system = setup.equations.system();
     let ways: [(Effect, Way); 2] = [(Effect::Drops, lost::under), (Effect::Jitter, late::under)];
     let judge = Judge::new(null, &[]);
+    let gain = null.innovation.evidence_cost - leader.innovation.evidence_cost;
+    let explained = leader.shooting_error <= INEXACT && gain > EXPLAINED;
     let mut leading: Option<Acted> = None;
     for (input, entry) in system.inputs.iter().enumerate() {
         let place = Place::new(PlaceKind::Input, entry.name.clone());
@@ -87,8 +92,9 @@ pub(crate) fn acted(
                 continue;
             }
             // Under the nominal model first: what they leave for others to explain is looked for afterwards.
-            let bases =
-                [null, leader].into_iter().take(if leader.hypothesis.effects.is_empty() { 1 } else { 2 });
+            let plain = (!explained).then_some(null);
+            let named = (!leader.hypothesis.effects.is_empty()).then_some(leader);
+            let bases = plain.into_iter().chain(named);
             let believed = |base: &Fit| {
                 under(setup, base, input, &place).filter(|acted| {
                     // What is less than a leading effect's form may be off by is its form.
