@@ -19,8 +19,9 @@ use crate::setup::Setup;
 /// Log likelihood by which commands that acted otherwise must explain more than nothing.
 pub(super) const TOLD: f64 = 10.0;
 
-/// Difference of −2 log evidence by which they must beat every other answer.
-const DECISIVE: f64 = 10.0;
+/// Difference of −2 log evidence by which they must beat every other answer, under a model that reaches the noise without them and
+/// under one that does not.
+const DECISIVE: (f64, f64) = (10.0, 20.0);
 
 /// The same by which a leading effect that reaches the noise must beat the nominal model for this one to be no base to look from.
 const EXPLAINED: f64 = 150.0;
@@ -101,7 +102,8 @@ pub(crate) fn acted(
                     let form = base.shooting_error <= INEXACT
                         && !base.hypothesis.effects.is_empty()
                         && !judge.is_material_from(base.shooting_error, acted.error);
-                    acted.cost < best - DECISIVE && !form
+                    let margin = if base.shooting_error <= INEXACT { DECISIVE.0 } else { DECISIVE.1 };
+                    acted.cost < best - margin && !form
                 })
             };
             if let Some(acted) = bases.into_iter().find_map(believed)

@@ -14,7 +14,7 @@ use super::scatter;
 use crate::experiment::Held;
 use crate::filter::Noise;
 use crate::report::Value;
-use crate::search::Fit;
+use crate::search::{Fit, INEXACT};
 use crate::setup::Setup;
 
 /// Steps by which the process noise is lowered, the size of one in the logarithm of its variance, and looks at each.
@@ -27,6 +27,10 @@ const ROUNDS: usize = 8;
 
 /// Rounds that bring nothing, after which nothing more is expected: beliefs may go back and forth.
 const PATIENCE: usize = 2;
+
+/// Share of the mean squared error of short windows without losses down to which they must bring it where it stays above that of an
+/// exact model.
+const LEFT: f64 = 0.1;
 
 /// Share of the commands beyond which it is no loss but another effect.
 const MOST: f64 = 0.4;
@@ -48,8 +52,10 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
     let mut believed = Believed { clean: setup.clone(), input, sent: &setup.experiment.inputs[input] };
     let mut noise = base.innovation.noise.clone();
     let first = believed.look(base, &noise)?.1;
-    // Losses that hardly show above the process noise that they were taken for show once there is less of it.
-    if first.gain < TOLD && first.otherwise.is_empty() {
+    // Losses that hardly show above the process noise that they were taken for show once there is less of it, unless a model that
+    // lacks something else needs it.
+    let shows = base.shooting_error <= INEXACT && !first.otherwise.is_empty();
+    if first.gain < TOLD && !shows {
         return None;
     }
     believed.revise(&first.otherwise);
@@ -71,8 +77,9 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
         let fit = refitted(&believed.clean, base);
         let Some((kicks, lost)) = believed.look(&fit, &fit.innovation.noise) else { break };
         let cost = fit.innovation.evidence_cost + believed.price(&kicks);
-        // What leaves predictions worse than no loss at all is no loss.
-        let nearer = fit.shooting_error <= base.shooting_error;
+        // What leaves predictions worse than no loss at all is no loss, and what leaves much to be explained follows that.
+        let most = base.shooting_error.min(INEXACT.max(LEFT * base.shooting_error));
+        let nearer = fit.shooting_error <= most;
         worse += 1;
         if nearer && best.as_ref().is_none_or(|(least, ..)| cost < *least) {
             worse = 0;
