@@ -160,8 +160,10 @@ fn walk_along(
 pub enum Known<'a> {
     /// Hardly anything: it may be far from this one.
     Nothing(&'a Noise),
-    /// It is that of this fit, of a hypothesis that is contained.
-    Contained(&'a InnovationFit),
+    /// It is near this one.
+    Roughly(&'a Noise),
+    /// It is hardly another one than that of this fit, of a hypothesis that is contained and nearly reaches the sensors' noise.
+    Near(&'a InnovationFit),
 }
 
 /// Fits a hypothesis from one starting point.
@@ -176,21 +178,22 @@ pub fn fit(
 ) -> InnovationFit {
     let outputs = model.limits.len();
     let (first, mut excess) = match known {
-        Known::Nothing(noise) => (noise, Vec::new()),
-        Known::Contained(fit) => (&fit.noise, fit.pass.excess(outputs)),
+        Known::Nothing(noise) | Known::Roughly(noise) => (noise, Vec::new()),
+        Known::Near(fit) => (&fit.noise, fit.pass.excess(outputs)),
     };
     let better_noise = |pass: &Pass, noise: &Noise, excess: &[(f64, usize)]| {
         let (scale, limits, floor) = (&model.scale, &model.limits, model.process_floor);
         match known {
             Known::Nothing(_) => pass.refit_noise(scale, noise, limits, floor),
-            Known::Contained(_) => pass.mend_noise(scale, noise, limits, floor, excess),
+            Known::Roughly(_) | Known::Near(_) => pass.mend_noise(scale, noise, limits, floor, excess),
         }
     };
     let p = simulator.parameters();
     let mut noise = first.clone();
     let mut last: Option<(Vec<f64>, Pass)> = None;
     // A start may be worse than where the noise is known from; after a step it is not.
-    let mut begun = matches!(known, Known::Nothing(_));
+    let near = matches!(known, Known::Near(_));
+    let mut begun = !near;
     let minimum = minimise(&hypothesis.fitted, start, iterations, |theta, accepted| {
         let known = last.take().filter(|(at, _)| at == theta);
         let mut pass = match known {
@@ -204,7 +207,9 @@ pub fn fit(
                 // The search is around a linearised walk: it counts only if the walk itself agrees.
                 if again.cost() < pass.cost() {
                     (noise, pass) = (better, again);
-                    excess = pass.excess(outputs);
+                    if near {
+                        excess = pass.excess(outputs);
+                    }
                 }
             }
         }

@@ -130,14 +130,20 @@ pub fn null(setup: &Setup) -> Fit {
         fit(&simulator, &hypothesis, &setup.train, &setup.noise, known, start, ITERATIONS)
     };
     let mut innovation = fitted(Known::Nothing(&noise), &start);
-    // The noise of other hypotheses is fitted from this one, as closely: a gain of theirs must not be one of the search.
-    let closer = fitted(Known::Contained(&innovation), &innovation.minimum.theta);
-    if closer.evidence_cost < innovation.evidence_cost {
-        innovation = closer;
+    let shot = |innovation: &InnovationFit| {
+        let windows = windows(setup, &simulator, &innovation.pass);
+        fit_windows(setup, &simulator, &hypothesis, &windows, &innovation.minimum.theta, ITERATIONS)
+    };
+    let mut found = shot(&innovation);
+    if found.error(setup) <= NEARLY {
+        // The noise of other hypotheses is fitted from this one, as closely: a gain of theirs must not be one of the search.
+        let closer = fitted(Known::Roughly(&innovation.noise), &innovation.minimum.theta);
+        if closer.evidence_cost < innovation.evidence_cost {
+            found = shot(&closer);
+            innovation = closer;
+        }
     }
-    let windows = windows(setup, &simulator, &innovation.pass);
-    let shot = fit_windows(setup, &simulator, &hypothesis, &windows, &innovation.minimum.theta, ITERATIONS);
-    assemble(setup, hypothesis, Vec::new(), innovation, shot)
+    assemble(setup, hypothesis, Vec::new(), innovation, found)
 }
 
 fn assemble(
@@ -158,6 +164,19 @@ fn assemble(
         independence: shot.independence(),
         shooting: shot.minimum,
         innovation,
+    }
+}
+
+/// Mean squared residual of the windows, in noise units squared, up to which a fit nearly reaches the noise.
+const NEARLY: f64 = 9.0;
+
+/// What a fit tells of the noise of hypotheses that contain its own. Far from the sensors' noise the likelihood has many hills, and a
+/// search in wide steps crosses some.
+fn known_from(fit: &Fit) -> Known<'_> {
+    if fit.shooting_error <= NEARLY {
+        Known::Near(&fit.innovation)
+    } else {
+        Known::Nothing(&fit.innovation.noise)
     }
 }
 
@@ -210,7 +229,7 @@ fn refine(
     effort: Effort,
 ) -> Fit {
     let simulator = library::simulator(setup, &hypothesis, Vec::new());
-    let known = Known::Contained(&null.innovation);
+    let known = known_from(null);
     let refine = |start: &[f64], iterations: usize| {
         fit(&simulator, &hypothesis, &setup.train, &setup.noise, known, start, iterations)
     };
@@ -474,7 +493,7 @@ pub fn fit_from(
 ) -> Fit {
     let simulator = library::simulator(setup, &hypothesis, residuals.clone());
     // Weights enter linearly, so few steps reach the minimum.
-    let known = Known::Contained(&base.innovation);
+    let known = known_from(base);
     let innovation = fit(&simulator, &hypothesis, &setup.train, &setup.noise, known, start, FEW);
     let windows = windows(setup, &simulator, &base.innovation.pass);
     // From where the windows left the base, which may differ from where the innovations did.

@@ -65,7 +65,7 @@ fn step_noise(noise: &mut Noise, coordinate: usize, step: f64, limits: &[(f64, f
 
 impl Pass {
     /// The noise near this one that makes the innovations likeliest around this walk, as [`Pass::refit_noise`] has it; this one if
-    /// none promises more. `excess` is each output's [`Pass::excess`] where this noise was the likeliest: where they
+    /// none promises more. `excess` is each output's [`Pass::excess`] where this noise was the likeliest, if that is known: where they
     /// have hardly changed, the outputs' noise stays as long as the process noise does, which is far less work.
     #[must_use]
     pub fn mend_noise(

@@ -57,7 +57,9 @@ impl Kernel for Slope<'_> {
                     let dt = <F64x16 as InMemory>::load::<S>(dt);
                     let pattern = &self.tape.patterns[*pattern];
                     let mut carry = |vector: &mut [_]| {
-                        for (moved, (row, phi)) in moved.iter_mut().zip(pattern.0.iter().zip(phi.chunks(n))) {
+                        for (moved, (row, phi)) in
+                            moved.iter_mut().zip(pattern.0.iter().zip(phi.chunks(n.max(1))))
+                        {
                             let mut sum = zero;
                             for &k in row {
                                 sum += phi[k] * vector[k];
@@ -67,9 +69,9 @@ impl Kernel for Slope<'_> {
                         vector.copy_from_slice(&moved);
                     };
                     carry(&mut deviation);
-                    by_deviation.chunks_mut(n).for_each(carry);
+                    by_deviation.chunks_mut(n.max(1)).for_each(carry);
                     propagate(pattern, phi, dt, self.intensity, &mut p, &mut scratch);
-                    for (of, by_p) in self.moving.iter().zip(by_p.chunks_mut(n * n)) {
+                    for (of, by_p) in self.moving.iter().zip(by_p.chunks_mut((n * n).max(1))) {
                         let own = if of.is_none() { self.intensity } else { &quiet };
                         mirror(n, by_p);
                         propagate(pattern, phi, dt, own, by_p, &mut scratch);
