@@ -10,20 +10,20 @@
 //! Stretches of the log are walked side by side, one on each lane.
 
 mod lanes;
+mod likelihood;
+mod mend;
 mod refit;
-mod slope;
 
 use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};
-use parallax_model::lanes::{F64x16, Level};
-
 use parallax_model::fit::Local;
+use parallax_model::lanes::{F64x16, Level};
 
 use crate::lockstep::{self, Lockstep, Stretch};
 use crate::simulator::{Gradient, LANES, Motion, Run, wrapped};
-use lanes::{CostAt, Covariance, Pattern, Read};
-use slope::Slope;
+use lanes::{Covariance, Pattern, Read};
+use likelihood::Likelihood;
 
 /// Noise intensities.
 #[derive(Clone, Debug, PartialEq)]
@@ -403,32 +403,26 @@ impl Pass {
         spread
     }
 
+    /// −2 log likelihood at another noise, around the walk that was linearised. Needs no model evaluation.
+    #[must_use]
+    pub fn cost_at(&self, scale: &[f64], noise: &Noise) -> f64 {
+        self.slope(scale, noise, &[]).cost
+    }
+
     /// The same with derivatives by the logarithms of the variances that are `moving`: of the process noise (none), or of an output.
     /// The Hessian is as it is expected of innovations of these variances.
     #[must_use]
     pub fn slope(&self, scale: &[f64], noise: &Noise, moving: &[Option<usize>]) -> Local {
         let intensity = intensities(scale, noise, self.states);
         let output: Vec<f64> = noise.log_output.iter().map(|r| r.exp()).collect();
-        let states = self.states;
+        let (states, intensity, output) = (self.states, &intensity[..], &output[..]);
         let mut total = Local::zero(moving.len());
         for tape in &self.tapes {
-            let of =
-                Level::widest().run(Slope { tape, states, intensity: &intensity, output: &output, moving });
+            let of = Level::widest().run(Likelihood { tape, states, intensity, output, moving });
             total.cost += of.cost;
             total.gradient.iter_mut().zip(of.gradient).for_each(|(sum, own)| *sum += own);
             total.information.iter_mut().zip(of.information).for_each(|(sum, own)| *sum += own);
         }
         total
-    }
-
-    /// −2 log likelihood at another noise, around the walk that was linearised. Needs no model evaluation.
-    #[must_use]
-    pub fn cost_at(&self, scale: &[f64], noise: &Noise) -> f64 {
-        let intensity = intensities(scale, noise, self.states);
-        let output: Vec<f64> = noise.log_output.iter().map(|r| r.exp()).collect();
-        let states = self.states;
-        let cost =
-            |tape| Level::widest().run(CostAt { tape, states, intensity: &intensity, output: &output });
-        self.tapes.iter().map(|tape| cost(tape).to_array().iter().sum::<f64>()).sum()
     }
 }

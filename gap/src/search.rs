@@ -1,9 +1,11 @@
 //! Fits every hypothesis and weighs them: short windows find the minimum, the innovation likelihood ranks.
 
+mod fitted;
+
+use parallax_model::plant::Residual;
 use rayon::prelude::*;
 
 use crate::filter::{Noise, Pass};
-use crate::fit::{Minimum, TEMPERATURE};
 use crate::hypothesis::{EffectAt, Hypothesis, Slot};
 use crate::innovation::{InnovationFit, Known, fit, walk};
 use crate::library;
@@ -11,94 +13,7 @@ use crate::ridge::Ridge;
 use crate::setup::Setup;
 use crate::stop::SEVERAL;
 use crate::windows::{FEW, Shot, fit_windows, representative, windows};
-use parallax_model::plant::Residual;
-
-/// A hypothesis, fitted.
-#[derive(Clone, Debug)]
-pub struct Fit {
-    /// What was fitted.
-    pub hypothesis: Hypothesis,
-    /// The flexible residuals it carries.
-    pub residuals: Vec<Residual>,
-    /// Its fit by innovation likelihood.
-    pub innovation: InnovationFit,
-    /// Its fit by short windows, and N log(SSE/N) with the priors.
-    pub shooting: Minimum,
-    /// −2 log evidence of the short windows.
-    pub shooting_cost: f64,
-    /// Mean squared residual of the short windows, in noise units squared.
-    pub shooting_error: f64,
-    /// The same for each output.
-    pub output_errors: Vec<f64>,
-    /// Standard deviations of the short windows' estimate, robust to residuals that are correlated within a window.
-    shooting_std: Vec<f64>,
-    /// The same for the estimate by innovation likelihood, robust to innovations that are correlated.
-    innovation_std: Vec<f64>,
-    /// How many independent readings one reading of the windows is worth, at most 1.
-    pub independence: f64,
-}
-
-/// Mean squared residual of the windows, in noise units squared, from which a model counts as inexact.
-pub const INEXACT: f64 = 1.5;
-
-/// Share of a parameter's range within which it counts as resting on a bound.
-pub const RESTS: f64 = 1e-3;
-
-/// Standard deviations from its null at which a parameter counts as found.
-const SIGNIFICANT: f64 = 3.0;
-
-/// Natural sizes of a parameter that count as its range where that is wider.
-const SIZES: f64 = 50.0;
-
-impl Fit {
-    /// Whether a parameter ended on one of its bounds: the data ask for more than it may move.
-    #[must_use]
-    pub fn rests(&self, parameter: usize) -> bool {
-        let (fitted, value) = (&self.hypothesis.fitted[parameter], self.theta()[parameter]);
-        let near = RESTS * (fitted.high - fitted.low).min(SIZES * fitted.scale);
-        near.is_finite() && (value - fitted.low <= near || fitted.high - value <= near)
-    }
-
-    /// Whether a parameter of an effect does not differ from its null: it speaks for a form without it.
-    #[must_use]
-    pub fn has_spare(&self, effect: usize) -> bool {
-        let fitted = self.hypothesis.fitted.iter().zip(self.estimate()).zip(self.untempered());
-        fitted
-            .filter(|((f, _), _)| matches!(f.slot, Slot::Effect { effect: of, .. } if of == effect))
-            .any(|((f, value), std)| (value - f.null).abs() < SIGNIFICANT * std)
-    }
-
-    /// The parameters by innovation likelihood, at which the evidence was taken.
-    #[must_use]
-    pub fn theta(&self) -> &[f64] {
-        &self.innovation.minimum.theta
-    }
-
-    /// The parameters to report and to predict with.
-    ///
-    /// Where the model reaches the sensor's noise the likelihood is efficient. Where it does not, as on any real
-    /// machine, one-step predictions are ruled by what the model lacks, and the short windows are the better judge:
-    /// they ask for what the simulator is for, a prediction over the horizon.
-    #[must_use]
-    pub fn estimate(&self) -> &[f64] {
-        if self.by_windows() { &self.shooting.theta } else { self.theta() }
-    }
-
-    /// Standard deviations of [`Fit::estimate`], of the posterior at the temperature of the answers' probabilities.
-    #[must_use]
-    pub fn std(&self) -> Vec<f64> {
-        self.untempered().iter().map(|std| TEMPERATURE.sqrt() * std).collect()
-    }
-
-    /// The same as the likelihood has them.
-    fn untempered(&self) -> &[f64] {
-        if self.by_windows() { &self.shooting_std } else { &self.innovation_std }
-    }
-
-    fn by_windows(&self) -> bool {
-        self.shooting_error > INEXACT && self.shooting.theta.len() == self.theta().len()
-    }
-}
+pub use fitted::{Fit, INEXACT, RESTS};
 
 /// Most Gauss–Newton steps of a fit.
 const ITERATIONS: usize = 15;
@@ -143,28 +58,7 @@ pub fn null(setup: &Setup) -> Fit {
             innovation = closer;
         }
     }
-    assemble(setup, hypothesis, Vec::new(), innovation, found)
-}
-
-fn assemble(
-    setup: &Setup,
-    hypothesis: Hypothesis,
-    residuals: Vec<Residual>,
-    innovation: InnovationFit,
-    shot: Shot,
-) -> Fit {
-    Fit {
-        hypothesis,
-        residuals,
-        shooting_cost: shot.cost,
-        shooting_error: shot.error(setup),
-        output_errors: shot.output_errors(setup),
-        shooting_std: shot.std(),
-        innovation_std: innovation.std(),
-        independence: shot.independence(),
-        shooting: shot.minimum,
-        innovation,
-    }
+    Fit::assemble(setup, hypothesis, Vec::new(), innovation, found)
 }
 
 /// Mean squared residual of the windows, in noise units squared, up to which a fit nearly reaches the noise.
@@ -235,7 +129,7 @@ fn refine(
     };
     if effort != Effort::Full {
         let innovation = refine(&shot.minimum.theta, usize::from(effort == Effort::Light));
-        return assemble(setup, hypothesis, Vec::new(), innovation, shot);
+        return Fit::assemble(setup, hypothesis, Vec::new(), innovation, shot);
     }
     let mut innovation = refine(&shot.minimum.theta, ITERATIONS);
     // The two losses can end in different minima; the effect's null is always a candidate.
@@ -260,7 +154,7 @@ fn refine(
     if again.cost < shot.cost {
         shot = again;
     }
-    assemble(setup, hypothesis, Vec::new(), innovation, shot)
+    Fit::assemble(setup, hypothesis, Vec::new(), innovation, shot)
 }
 
 /// Difference of −2 log evidence to the null model from which a spring's split is worth a search of its own.
@@ -501,7 +395,7 @@ pub fn fit_from(
     from[..base.shooting.theta.len()].copy_from_slice(&base.shooting.theta);
     // The windows' states have to follow, which takes more.
     let shot = fit_windows(setup, &simulator, &hypothesis, &windows, &from, 3 * FEW);
-    assemble(setup, hypothesis, residuals, innovation, shot)
+    Fit::assemble(setup, hypothesis, residuals, innovation, shot)
 }
 
 /// Puts the calibrated parameters where the null model's fit left them.

@@ -3,9 +3,8 @@
 use parallax_model::Scalar;
 use parallax_model::lanes::{F64x16, InMemory, Kernel, Simd};
 
-use super::{NOTHING, Tape, Tick};
 use crate::machine::columns::Columns;
-use crate::simulator::{Gradient, LANES, Motion};
+use crate::simulator::{Gradient, Motion};
 
 /// The entries of a matrix that can differ from zero, row by row.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -184,81 +183,6 @@ impl Kernel for Read<'_> {
         update(n, gain, variance, rests, p);
         let mut out = F64x16::splat(0.0);
         <F64x16 as InMemory>::store::<S>(&mut out, variance);
-        out
-    }
-}
-
-/// −2 log likelihood of a tape at another noise, lane by lane.
-pub(super) struct CostAt<'a> {
-    pub(super) tape: &'a Tape,
-    pub(super) states: usize,
-    pub(super) intensity: &'a [f64],
-    pub(super) output: &'a [f64],
-}
-
-impl Kernel for CostAt<'_> {
-    type Output = F64x16;
-
-    #[inline(always)]
-    fn run<S: Simd>(self) -> F64x16 {
-        let n = self.states;
-        let numbers = F64x16::registers::<S>(&self.tape.numbers);
-        let zero = <F64x16 as InMemory>::load::<S>(&F64x16::splat(0.0));
-        let mut p = vec![zero; n * n];
-        for (i, variance) in F64x16::registers::<S>(&self.tape.start_variance).iter().enumerate() {
-            p[i * n + i] = *variance;
-        }
-        let mut scratch = vec![zero; 2 * n * n];
-        // Deviation from the stored walk, which follows the stored gains.
-        let mut deviation = vec![zero; n];
-        let mut moved = vec![zero; n];
-        let mut gain = vec![zero; n];
-        let mut cost = zero;
-        for tick in &self.tape.ticks {
-            match tick {
-                Tick::Advance { dt, by_state, pattern } => {
-                    let phi = &numbers[*by_state..*by_state + n * n];
-                    let dt = <F64x16 as InMemory>::load::<S>(dt);
-                    let pattern = &self.tape.patterns[*pattern];
-                    propagate(pattern, phi, dt, self.intensity, &mut p, &mut scratch);
-                    for i in 0..n {
-                        let mut sum = zero;
-                        for &k in &pattern.0[i] {
-                            sum += phi[i * n + k] * deviation[k];
-                        }
-                        moved[i] = sum;
-                    }
-                    deviation.copy_from_slice(&moved);
-                }
-                Tick::Read { by_state, seen, gain: stored, innovation, output, weighs } => {
-                    let (mut noise, mut active) = (F64x16::splat(1.0), F64x16::splat(0.0));
-                    for lane in (0..LANES).filter(|lane| output[*lane] != NOTHING) {
-                        noise[lane] = self.output[output[lane] as usize];
-                        active[lane] = 1.0;
-                    }
-                    let rests = <F64x16 as InMemory>::load::<S>(&active).eq(zero);
-                    let noise = <F64x16 as InMemory>::load::<S>(&noise);
-                    let recorded = <F64x16 as InMemory>::load::<S>(innovation);
-                    let h = &numbers[*by_state..*by_state + n];
-                    let seen = &self.tape.seen[seen.clone()];
-                    let variance = innovate(seen, h, noise, rests, &p, &mut gain);
-                    let mut innovation = recorded;
-                    for &i in seen {
-                        innovation -= h[i] * deviation[i];
-                    }
-                    for i in 0..n {
-                        let change = gain[i] * innovation - numbers[stored + i] * recorded;
-                        deviation[i] += Scalar::select(rests, zero, change);
-                    }
-                    update(n, &gain, variance, rests, &mut p);
-                    let ignored = <F64x16 as InMemory>::load::<S>(weighs).eq(zero);
-                    let term = innovation * innovation / variance + variance.ln();
-                    cost += Scalar::select(ignored, zero, term);
-                }
-            }
-        }
-        let mut out = F64x16::splat(0.0);
-        <F64x16 as InMemory>::store::<S>(&mut out, cost);
         out
     }
 }

@@ -1,18 +1,17 @@
-//! How the likelihood of a tape changes with the logarithms of its noise's variances: exact first derivatives, and Fisher's information
-//! of the innovations (Gupta & Mehra 1974, "Computational aspects of maximum likelihood estimation and reduction in sensitivity
-//! function calculations").
+//! The likelihood of a tape at another noise, without the model: exact first derivatives by the logarithms of variances, and Fisher's
+//! information of the innovations (Gupta & Mehra 1974, "Computational aspects of maximum likelihood estimation and reduction in
+//! sensitivity function calculations").
 
 use parallax_model::Scalar;
+use parallax_model::fit::Local;
 use parallax_model::lanes::{F64x16, InMemory, Kernel, Simd};
 
 use super::lanes::{innovate, propagate, update};
 use super::{NOTHING, Tape, Tick};
-use parallax_model::fit::Local;
-
 use crate::simulator::LANES;
 
 /// −2 log likelihood of a tape at another noise, half its gradient and half of what its Hessian is expected to be.
-pub(super) struct Slope<'a> {
+pub(super) struct Likelihood<'a> {
     pub(super) tape: &'a Tape,
     pub(super) states: usize,
     pub(super) intensity: &'a [f64],
@@ -31,7 +30,7 @@ fn mirror<T: Scalar>(n: usize, matrix: &mut [T]) {
     }
 }
 
-impl Kernel for Slope<'_> {
+impl Kernel for Likelihood<'_> {
     type Output = Local;
 
     #[inline(always)]
@@ -45,6 +44,7 @@ impl Kernel for Slope<'_> {
         }
         let quiet = vec![0.0; n];
         let mut scratch = vec![zero; 2 * n * n];
+        // The deviation is from the stored walk, which follows the stored gains.
         let (mut deviation, mut gain, mut moved) = (vec![zero; n], vec![zero; n], vec![zero; n]);
         // Derivatives of the covariance, of the deviation, of P h, of the innovation and of its variance.
         let (mut by_p, mut by_deviation) = (vec![zero; m * n * n], vec![zero; m * n]);
@@ -133,7 +133,7 @@ impl Kernel for Slope<'_> {
                     update(n, &gain, variance, rests, &mut p);
                     let ignored = <F64x16 as InMemory>::load::<S>(weighs).eq(zero);
                     let weight = Scalar::select(ignored, zero, inverse);
-                    let square = innovation * innovation * inverse;
+                    let square = innovation * innovation / variance;
                     cost += Scalar::select(ignored, zero, square + variance.ln());
                     for k in 0..m {
                         let half = by_variance[k] * (zero + 1.0 - square) * 0.5;
