@@ -104,7 +104,7 @@ pub(crate) fn which(
     let (average, rest): (Vec<Which>, Vec<Which>) =
         out.into_iter().partition(|answer| match &answer.effects[..] {
             [only] if only.name == Effect::Delay.name() => {
-                only.parameters.values().all(|delay| delay.value < MEAN_OF_JITTER * spread)
+                spread > 0.0 && only.parameters.values().all(|delay| delay.value < MEAN_OF_JITTER * spread)
             }
             // What is late anywhere shows everywhere behind it, and times that scatter blur how.
             [only] => (scatters(only) || is_sluggish(only)) && is_mean_of(setup, only, spread),

@@ -1,6 +1,7 @@
 //! The diagnosis from end to end: bind, fit, weigh, localise, quantify, report.
 
 mod causes;
+mod claims;
 mod error;
 mod prepare;
 mod screen;
@@ -191,10 +192,11 @@ fn weigh_all(
     }
     progress(0.5, "unknown cause");
     let weighed = std::sync::atomic::AtomicUsize::new(0);
-    let answers = posterior::weigh(&setup, &null, &nuisance, fits, options, &|label| {
+    let mut answers = posterior::weigh(&setup, &null, &nuisance, fits, options, &|label| {
         let k = weighed.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
         progress((0.5 + 0.1 * k as f64).min(1.0), label);
     });
+    answers.hold_to_predictions(&setup);
     let mut columns = columns;
     columns
         .extend(unknown::kinds(&setup).into_iter().map(|kind| unknown::columns(&setup, &null, &null, kind)));
@@ -229,27 +231,6 @@ const OVERTAKES: f64 = 0.9;
 /// Share of the gap on held-out time below which, with certainty, an answer closes nothing of it.
 const CLOSES_NOTHING: f64 = 0.02;
 
-/// Share of the gap on held-out time, below zero, that an unknown cause must add to it with certainty to be refuted: its errors are
-/// twice those without. One that nobody can predict, such as gusts, is no such cause: it is not there when the motion is fresh.
-const ADDS: f64 = -3.0;
-
-/// Whether the unknown cause that outweighs the leading answer spoils predictions of held-out time, which that answer does not,
-/// where nothing reaches the noise: what follows a log so well and fails so badly on fresh motion is flexible, and no machine.
-fn overclaims(
-    answers: &posterior::Posterior,
-    null: &Fit,
-    row: &impl Fn(&Fit) -> Row,
-    refitted: &Row,
-    seed: u64,
-) -> bool {
-    let Some(alone) = answers.residual(false) else { return false };
-    if answers.answers.is_empty() || alone.shooting_error <= INEXACT {
-        return false;
-    }
-    let adds = |fit: &Fit| quantify::closed(refitted, &row(fit), seed);
-    adds(alone).high < ADDS && adds(answers.leader(null)).value > 0.0
-}
-
 fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) -> Diagnosis {
     let Found { setup, null, mut answers, p_value, not_testable, absorbed, mut readings } = found;
     let setup = &setup;
@@ -280,12 +261,8 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     let mut detected = p_value < 0.01 && answers.no_gap < 0.5;
     let worse = |with: &Row| quantify::closed(&refitted, with, options.seed).high < 0.0;
     let mut with_best = None;
-    if detected
-        && acted.is_none()
-        && !answers.names()
-        && overclaims(&answers, &null, &row, &refitted, options.seed)
-    {
-        answers.refute_unknown(&null);
+    if detected && acted.is_none() && !answers.names() {
+        claims::hold_unknown(&mut answers, &null, &row, &refitted, options.seed);
     }
     while detected && answers.names() {
         let with = row(answers.leader(&null));

@@ -35,6 +35,9 @@ const IDENTICAL: f64 = 1.0 - 1e-7;
 const DOUBT: f64 = 0.45;
 const LEFT: f64 = 0.1;
 
+/// Answers whose estimates are held to predictions of what was fitted.
+const HELD: usize = 4;
+
 /// One answer: a leading effect and those that cannot be told from it.
 #[derive(Clone, Debug)]
 pub struct Answer {
@@ -144,6 +147,23 @@ impl Posterior {
     pub fn refute_unknown(&mut self, null: &Fit) {
         self.log_alone = self.log_alone.min(self.log_no_gap + PRIOR_UNKNOWN.ln());
         self.settle(None, null);
+    }
+
+    /// Holds the unknown cause to the leading answer, `beyond` which it explains this many times what a form may be off by.
+    pub fn hold_unknown_to(&mut self, beyond: f64, null: &Fit) {
+        let Some(leader) = self.answers.first() else { return };
+        let log = leader.logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        if beyond < 1.0 {
+            self.log_alone = self.log_alone.min(log + beyond.max(1e-6).ln());
+            self.settle(None, null);
+        }
+    }
+
+    /// Has the estimates of the answers that may be named, and of the unknown cause, be those that predict best what was fitted.
+    pub fn hold_to_predictions(&mut self, setup: &Setup) {
+        let leading = self.answers.iter_mut().take(HELD).map(|answer| &mut answer.fit);
+        let residuals = self.residual_alone.iter_mut().chain(self.residual_on_leader.iter_mut());
+        leading.chain(residuals).for_each(|fit| fit.hold_to_predictions(setup));
     }
 
     /// Takes back what a residual alone speaks for where it is no more than the form may be off by of what lowered the null

@@ -39,12 +39,19 @@ pub fn nominal(setup: &Setup) -> (Pass, Noise) {
 pub fn null(setup: &Setup) -> Fit {
     let (_, noise) = nominal(setup);
     let hypothesis = library::hypothesis(setup, &[]);
-    let simulator = library::simulator(setup, &hypothesis, Vec::new());
     let start: Vec<f64> = hypothesis.fitted.iter().map(|f| f.null).collect();
+    null_from(setup, &noise, &start)
+}
+
+/// The same from parameters and a noise that are not far.
+#[must_use]
+pub fn null_from(setup: &Setup, noise: &Noise, start: &[f64]) -> Fit {
+    let hypothesis = library::hypothesis(setup, &[]);
+    let simulator = library::simulator(setup, &hypothesis, Vec::new());
     let fitted = |known: Known<'_>, start: &[f64]| {
         fit(&simulator, &hypothesis, &setup.train, &setup.noise, known, start, ITERATIONS)
     };
-    let mut innovation = fitted(Known::Nothing(&noise), &start);
+    let mut innovation = fitted(Known::Nothing(noise), start);
     let shot = |innovation: &InnovationFit| {
         let windows = windows(setup, &simulator, &innovation.pass);
         fit_windows(setup, &simulator, &hypothesis, &windows, &innovation.minimum.theta, ITERATIONS)

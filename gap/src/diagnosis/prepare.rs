@@ -70,6 +70,7 @@ pub(crate) fn prepare(
         }
         null = search::null(&setup);
     }
+    null.hold_to_predictions(&setup);
     if !null.innovation.minimum.cost.is_finite() {
         return Err(DiagnosisError::NotFinite {
             file: setup.equations.system().file.clone(),

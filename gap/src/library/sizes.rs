@@ -10,6 +10,9 @@ use crate::hypothesis::{EffectAt, Fitted, Prior, Slot};
 use crate::readings;
 use crate::setup::{JointScale, Range, Setup};
 
+/// Waves over the range of a joint, at least, for a force to be said to repeat: less of one is an arc, as any spring has.
+const LEAST_WAVES: f64 = 1.0;
+
 /// The entry of θ for one parameter of an effect at the place of this index.
 pub(super) fn fitted(
     setup: &Setup,
@@ -212,13 +215,13 @@ fn joint(setup: &Setup, index: usize, effect: Effect, quantity: Quantity, fitted
             flat(fitted, low, high, [0.1, 0.5].map(|s| (s * speed).clamp(low, high)).to_vec());
         }
         Q::Wavenumber => {
-            let high = (64.0 * TAU / width).max(48.0);
-            let mut starts = scale.wavenumbers.clone();
+            let (low, high) = (LEAST_WAVES * TAU / width, (64.0 * TAU / width).max(48.0));
+            let mut starts: Vec<f64> = scale.wavenumbers.iter().copied().filter(|w| *w >= low).collect();
             if starts.is_empty() {
                 starts.push(TAU / width);
             }
             fitted.null = starts[0];
-            flat(fitted, 0.0, high, starts);
+            flat(fitted, low, high, starts);
             fitted.scale = 0.2 * PI / width;
         }
         Q::Frequency => {

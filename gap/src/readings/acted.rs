@@ -6,6 +6,7 @@
 //! the nominal model and under the leading answer, and believed where stating each of them costs less than it explains.
 
 use parallax_model::effect::{Effect, Place, PlaceKind};
+use rayon::prelude::*;
 
 use super::{ReadingEffect, late, lost};
 use crate::experiment::{Experiment, Held};
@@ -78,49 +79,42 @@ pub(crate) fn acted(
     let judge = Judge::new(null, &[]);
     let gain = null.innovation.evidence_cost - leader.innovation.evidence_cost;
     let explained = leader.shooting_error <= INEXACT && gain > EXPLAINED;
-    let mut leading: Option<Acted> = None;
-    for (input, entry) in system.inputs.iter().enumerate() {
-        let place = Place::new(PlaceKind::Input, entry.name.clone());
-        // Averaged commands are no longer those that were sent.
-        if raw.inputs[input].times != setup.experiment.inputs[input].times {
-            continue;
+    let tried = |(input, effect, under): (usize, Effect, Way)| {
+        let place = Place::new(PlaceKind::Input, system.inputs[input].name.clone());
+        let at = EffectAt { effect, place: place.clone() };
+        let stated = system.effects.iter().any(|e| e.name == effect.name() && e.place == place.to_string());
+        if stated || !options.allows(&at) || setup.stop.asked() {
+            return None;
         }
-        for (effect, under) in ways {
-            let at = EffectAt { effect, place: place.clone() };
-            let stated =
-                system.effects.iter().any(|e| e.name == effect.name() && e.place == place.to_string());
-            if stated || !options.allows(&at) || setup.stop.asked() {
-                continue;
-            }
-            // Under the nominal model first: what they leave for others to explain is looked for afterwards.
-            let plain = (!explained).then_some(null);
-            let named = (!leader.hypothesis.effects.is_empty()).then_some(leader);
-            let bases = plain.into_iter().chain(named);
-            let believed = |base: &Fit| {
-                under(setup, base, input, &place).filter(|acted| {
-                    // What is less than a leading effect's form may be off by is its form.
-                    let form = base.shooting_error <= INEXACT
-                        && !base.hypothesis.effects.is_empty()
-                        && !judge.is_material_from(base.shooting_error, acted.error);
-                    let margin = if base.shooting_error <= INEXACT { DECISIVE.0 } else { DECISIVE.1 };
-                    acted.cost < best - margin && !form
-                })
-            };
-            if let Some(acted) = bases.into_iter().find_map(believed)
-                && leading.as_ref().is_none_or(|other| acted.cost < other.cost)
-            {
-                leading = Some(acted);
-            }
-        }
-    }
-    leading
+        // Under the nominal model first: what they leave for others to explain is looked for afterwards.
+        let plain = (!explained).then_some(null);
+        let named = (!leader.hypothesis.effects.is_empty()).then_some(leader);
+        let mut bases = plain.into_iter().chain(named);
+        bases.find_map(|base| {
+            under(setup, base, input, &place).filter(|acted| {
+                // What is less than a leading effect's form may be off by is its form.
+                let form = base.shooting_error <= INEXACT
+                    && !base.hypothesis.effects.is_empty()
+                    && !judge.is_material_from(base.shooting_error, acted.error);
+                let margin = if base.shooting_error <= INEXACT { DECISIVE.0 } else { DECISIVE.1 };
+                acted.cost < best - margin && !form
+            })
+        })
+    };
+    // Averaged commands are no longer those that were sent.
+    let as_sent = |input: &usize| raw.inputs[*input].times == setup.experiment.inputs[*input].times;
+    let inputs = (0..system.inputs.len()).filter(as_sent);
+    let all: Vec<(usize, Effect, Way)> =
+        inputs.flat_map(|input| ways.map(|(effect, under)| (input, effect, under))).collect();
+    let found: Vec<Acted> = all.into_par_iter().filter_map(tried).collect();
+    // Of equals the first.
+    found.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost))
 }
 
-/// The same hypothesis, fitted to a recording with other commands.
+/// The same hypothesis, fitted to a recording with other commands, from where it is.
 pub(super) fn refitted(setup: &Setup, base: &Fit) -> Fit {
-    let null = search::null(setup);
     if base.hypothesis.effects.is_empty() {
-        return null;
+        return search::null_from(setup, &base.innovation.noise, base.theta());
     }
-    search::fit_part(setup, &null, base.hypothesis.clone(), base)
+    search::fit_part(setup, base, base.hypothesis.clone(), base)
 }

@@ -5,6 +5,8 @@ use parallax_model::plant::Residual;
 use crate::fit::{Minimum, TEMPERATURE};
 use crate::hypothesis::{Hypothesis, Slot};
 use crate::innovation::InnovationFit;
+use crate::library;
+use crate::quantify;
 use crate::setup::Setup;
 use crate::windows::Shot;
 
@@ -31,6 +33,8 @@ pub struct Fit {
     innovation_std: Vec<f64>,
     /// How many independent readings one reading of the windows is worth, at most 1.
     pub independence: f64,
+    /// Whether the estimate is that of the short windows.
+    by_windows: bool,
 }
 
 /// Mean squared residual of the windows, in noise units squared, from which a model counts as inexact.
@@ -41,6 +45,9 @@ pub const RESTS: f64 = 1e-3;
 
 /// Standard deviations from its null at which a parameter counts as found.
 const SIGNIFICANT: f64 = 3.0;
+
+/// Mean squared error of predictions, against that with the likelihood's parameters, up to which those of the windows are taken.
+const WORSE: f64 = 1.2;
 
 /// Natural sizes of a parameter that count as its range where that is wider.
 const SIZES: f64 = 50.0;
@@ -54,7 +61,10 @@ impl Fit {
         innovation: InnovationFit,
         shot: Shot,
     ) -> Self {
+        let by_windows =
+            shot.error(setup) > INEXACT && shot.minimum.theta.len() == innovation.minimum.theta.len();
         Fit {
+            by_windows,
             hypothesis,
             residuals,
             shooting_cost: shot.cost,
@@ -98,7 +108,7 @@ impl Fit {
     /// they ask for what the simulator is for, a prediction over the horizon.
     #[must_use]
     pub fn estimate(&self) -> &[f64] {
-        if self.by_windows() { &self.shooting.theta } else { self.theta() }
+        if self.by_windows { &self.shooting.theta } else { self.theta() }
     }
 
     /// Standard deviations of [`Fit::estimate`], of the posterior at the temperature of the answers' probabilities.
@@ -109,10 +119,20 @@ impl Fit {
 
     /// The same as the likelihood has them.
     fn untempered(&self) -> &[f64] {
-        if self.by_windows() { &self.shooting_std } else { &self.innovation_std }
+        if self.by_windows { &self.shooting_std } else { &self.innovation_std }
     }
 
-    fn by_windows(&self) -> bool {
-        self.shooting_error > INEXACT && self.shooting.theta.len() == self.theta().len()
+    /// Has the estimate be that of the innovation likelihood where this one predicts the fitted stretches better from what its filter
+    /// knew: windows choose their first states freely, and what is flexible may live by that.
+    pub fn hold_to_predictions(&mut self, setup: &Setup) {
+        if !self.by_windows {
+            return;
+        }
+        let simulator = library::simulator(setup, &self.hypothesis, self.residuals.clone());
+        let fitted = Setup { test: setup.train.clone(), ..setup.clone() };
+        let error = |theta: &[f64]| {
+            quantify::predict(&fitted, &simulator, theta, &self.innovation.noise).mean_square()
+        };
+        self.by_windows = error(&self.shooting.theta) <= WORSE * error(self.theta());
     }
 }

@@ -1,0 +1,45 @@
+//! What an unknown cause claims, held to fresh motion.
+//!
+//! On the time that it is fitted to, whatever is flexible follows what a named effect leaves. Where no model reaches the noise, as on
+//! any real machine, its evidence says little else; predictions of held-out time say whether it is more than that.
+
+use crate::judge;
+use crate::posterior::Posterior;
+use crate::quantify::{self, Row};
+use crate::search::{Fit, INEXACT};
+
+/// Share of the gap on held-out time, below zero, that an unknown cause must add to it with certainty to be refuted: its errors are
+/// twice those without. One that nobody can predict, such as gusts, is no such cause: it is not there when the motion is fresh.
+const ADDS: f64 = -3.0;
+
+/// Share of the gap on held-out time that a named answer must close for an unknown cause to be held to it: one that predicts better,
+/// and one that does not.
+const LEAST_CLOSED: (f64, f64) = (0.3, 0.1);
+
+/// Takes from the unknown cause that outweighs the leading answer what predictions of held-out time (`row`) deny it: all but its prior
+/// where it spoils them and the answer does not; where it explains no more beyond the answer than the answer's form may be off by, all
+/// that makes it more likely than that.
+pub(super) fn hold_unknown(
+    answers: &mut Posterior,
+    null: &Fit,
+    row: &impl Fn(&Fit) -> Row,
+    refitted: &Row,
+    seed: u64,
+) {
+    let (Some(alone), Some(leader)) = (answers.residual(false), answers.answers.first()) else { return };
+    if alone.shooting_error <= INEXACT {
+        return;
+    }
+    let exact = leader.fit.shooting_error <= INEXACT;
+    let (alone, leader) = (row(alone), row(&leader.fit));
+    let closed = |row: &Row| quantify::closed(refitted, row, seed);
+    if closed(&alone).high < ADDS && closed(&leader).value > 0.0 {
+        answers.refute_unknown(null);
+    }
+    let gap = refitted.mean_square() - 1.0;
+    let (alone, leader) = (alone.mean_square(), leader.mean_square());
+    let least = if alone < leader { LEAST_CLOSED.0 } else { LEAST_CLOSED.1 };
+    if !exact && refitted.mean_square() - leader > least * gap {
+        answers.hold_unknown_to(judge::share_of_form(leader - alone, gap), null);
+    }
+}
