@@ -104,7 +104,8 @@ pub(crate) fn which(
     let (average, rest): (Vec<Which>, Vec<Which>) =
         out.into_iter().partition(|answer| match &answer.effects[..] {
             [only] if only.name == Effect::Delay.name() => {
-                spread > 0.0 && only.parameters.values().all(|delay| delay.value < MEAN_OF_JITTER * spread)
+                // What acts ahead of its stamp by more is no mean of lateness.
+                only.parameters.values().all(|delay| delay.value.abs() < MEAN_OF_JITTER * spread)
             }
             // What is late anywhere shows everywhere behind it, and times that scatter blur how.
             [only] => (scatters(only) || is_sluggish(only)) && is_mean_of(setup, only, spread),

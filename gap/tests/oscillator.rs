@@ -2,6 +2,7 @@
 //! an oscillator as laboratories build them, after Duffing's equation, integrated here by steps of its own.
 
 use parallax_gap::diagnosis::{Options, diagnose};
+use parallax_gap::report::Report;
 use parallax_model::system::System;
 use parallax_runtime::recording::log::{Log, Role, Signal};
 use rand::{RngExt, SeedableRng};
@@ -34,8 +35,8 @@ const PERIOD: f64 = 0.04;
 const SAMPLES: usize = 1600;
 const NOISE: f64 = 0.001;
 
-/// F = −200 q − 400 q³ − 0.8 v beside the command, a sum of sines of 0.4 to 4 Hz, to which `added` is added unseen (N).
-fn record(seed: u64, added: f64) -> Log {
+/// F = −200 q − `cubic` q³ − 0.8 v beside the command, a sum of sines of 0.4 to 4 Hz, to which `added` is added unseen (N).
+fn record(seed: u64, cubic: f64, added: f64) -> Log {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let sines: Vec<(f64, f64)> =
         (2..20).map(|k| (0.2 * f64::from(k), random.random_range(0.0..std::f64::consts::TAU))).collect();
@@ -58,7 +59,7 @@ fn record(seed: u64, added: f64) -> Log {
             // Velocity first, in the middle of the step.
             let middle = stamp + (i as f64 + 0.5) * step;
             q += 0.5 * step * v;
-            v += step * (command(middle) + added - 200.0 * q - 400.0 * q.powi(3) - 0.8 * v);
+            v += step * (command(middle) + added - 200.0 * q - cubic * q.powi(3) - 0.8 * v);
             q += 0.5 * step * v;
         }
     }
@@ -69,12 +70,15 @@ fn record(seed: u64, added: f64) -> Log {
     Log { title: "oscillator".into(), signals, ..Log::default() }
 }
 
-#[test]
-fn a_hardening_spring_is_found_beside_a_command_that_acts_before_its_samples() {
+fn diagnosed(log: &Log) -> Report {
     let system = System::parse(SYSTEM, "oscillator.toml").expect("the system is valid");
     let options = Options { horizon: Some(1.0), ..Options::default() };
-    let report =
-        diagnose(&system, &record(5, 0.0), &options, &|_, _| ()).expect("it can be diagnosed").report;
+    diagnose(&system, log, &options, &|_, _| ()).expect("it can be diagnosed").report
+}
+
+#[test]
+fn a_hardening_spring_is_found_beside_a_command_that_acts_before_its_samples() {
+    let report = diagnosed(&record(5, 400.0, 0.0));
     let found = |name: &str, parameter: &str| {
         let effect = report.which[0].effects.iter().find(|effect| effect.name == name);
         effect.unwrap_or_else(|| panic!("no {name}: {}", report.summary)).parameters[parameter].value
@@ -91,14 +95,20 @@ fn a_hardening_spring_is_found_beside_a_command_that_acts_before_its_samples() {
 /// A sine of a third of a wave would do what spring and force do together, with a parameter less: but nothing repeats.
 #[test]
 fn a_bend_of_less_than_a_wave_is_a_spring_beside_a_force() {
-    let system = System::parse(SYSTEM, "oscillator.toml").expect("the system is valid");
-    let options = Options { horizon: Some(1.0), ..Options::default() };
-    let report =
-        diagnose(&system, &record(7, 0.8), &options, &|_, _| ()).expect("it can be diagnosed").report;
+    let report = diagnosed(&record(7, 400.0, 0.8));
     let leader = &report.which[0];
     let found = |name: &str| leader.effects.iter().find(|effect| effect.name == name);
     let spring = found("spring").unwrap_or_else(|| panic!("{}", report.summary));
     let stiffness = spring.parameters["cubic_stiffness"].value;
     assert!((stiffness - 400.0).abs() < 40.0, "{}", report.summary);
     assert!(found("cogging").is_none() && found("delay").is_some(), "{}", report.summary);
+}
+
+#[test]
+fn a_command_that_acts_before_its_samples_alone_is_a_gap() {
+    let report = diagnosed(&record(9, 0.0, 0.0));
+    let leader = &report.which[0];
+    assert_eq!(leader.class.first().map(String::as_str), Some("delay@input:u"), "{leader:?}");
+    let early = -leader.effects[0].parameters["delay"].value / PERIOD;
+    assert!((0.4..0.6).contains(&early), "the command acts {early} periods early: {}", report.summary);
 }

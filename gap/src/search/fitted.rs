@@ -105,7 +105,8 @@ impl Fit {
     ///
     /// Where the model reaches the sensor's noise the likelihood is efficient. Where it does not, as on any real
     /// machine, one-step predictions are ruled by what the model lacks, and the short windows are the better judge:
-    /// they ask for what the simulator is for, a prediction over the horizon.
+    /// they ask for what the simulator is for, a prediction over the horizon; unless they were found to predict worse
+    /// ([`Fit::hold_to_predictions`]).
     #[must_use]
     pub fn estimate(&self) -> &[f64] {
         if self.by_windows { &self.shooting.theta } else { self.theta() }
