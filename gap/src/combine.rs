@@ -3,6 +3,7 @@
 use std::cell::OnceCell;
 
 use nalgebra::{DMatrix, DVector};
+use parallax_model::effect::Effect;
 use rayon::prelude::*;
 
 use crate::hypothesis::{EffectAt, Hypothesis, Slot};
@@ -65,14 +66,25 @@ pub fn combinations<'a>(
     };
     let pool: Vec<Candidate<'_>> = fits.iter().filter_map(candidate).collect();
     let mut found: Vec<Fit> = Vec::new();
-    for base in beginnings(setup, null, fits, &pool, judge) {
+    let (first, further) = beginnings(setup, null, fits, &pool, judge);
+    let judge = &mut judge.clone();
+    for (k, base) in first.iter().chain(&further).enumerate() {
+        // Where nothing reaches the noise, there is always more, and no end.
+        if k == first.len() && (!judge.is_exact() || is_settled(setup, fits, &found, &pool, judge)) {
+            break;
+        }
         if setup.stop.leaves_out(|| SEVERAL.into()) {
             break;
         }
-        let (mut base, refitted) = grown(setup, null, base.clone(), &pool, judge);
-        found.extend(refitted);
-        if let Some(other) = exchanged(setup, null, &base, fits, (&pool, forms), judge) {
-            (base, _) = grown(setup, null, other, &pool, judge);
+        let Grown { fit: mut base, again, rejected } =
+            grown(setup, null, (*base).clone(), fits, &pool, judge);
+        found.extend(again);
+        // Two effects that are not worth it in the forms that explain most alone may be so in others.
+        let apart = |_: &&Fit| k < first.len() && base.hypothesis.effects.len() < 2;
+        let from = rejected.as_ref().filter(apart).unwrap_or(&base);
+        let other = exchanged(setup, null, from, fits, (&pool, forms), judge);
+        if let Some(other) = other.filter(|other| std::ptr::eq(from, &base) || judge.is_worth(other, &base)) {
+            base = grown(setup, null, other, fits, &pool, judge).fit;
         }
         if setup.stop.asked() {
             return found;
@@ -133,18 +145,28 @@ fn restarted(setup: &Setup, null: &Fit, fit: &Fit, fits: &[Fit], judge: &Judge) 
     known.filter_map(|known| again(setup, null, known, fit, judge)).collect()
 }
 
-/// A fit with further effects, one by one, as long as they are worth it; and the single one that it began with, where that is
-/// fitted better [`again`].
+/// What a fit grew to.
+struct Grown {
+    /// With further effects, one by one, as long as they are worth it.
+    fit: Fit,
+    /// The single one that it began with, where that is fitted better [`again`].
+    again: Option<Fit>,
+    /// The best with one effect more, which was not worth it.
+    rejected: Option<Fit>,
+}
+
+/// A fit with further effects.
 fn grown(
     setup: &Setup,
     null: &Fit,
     mut base: Fit,
+    fits: &[Fit],
     pool: &[Candidate<'_>],
-    judge: &Judge,
-) -> (Fit, Option<Fit>) {
-    let mut refitted = None;
+    judge: &mut Judge,
+) -> Grown {
+    let (mut refitted, mut rejected) = (None, None);
     while base.hypothesis.effects.len() < MOST && !setup.stop.leaves_out(|| SEVERAL.into()) {
-        let Some(next) = extend(setup, &base, pool, judge) else { break };
+        let Some(next) = extend(setup, null, &base, fits, pool, judge) else { break };
         if base.hypothesis.effects.len() == 1 && refitted.is_none() {
             refitted = again(setup, null, &base, &next, judge);
             if let Some(single) = &refitted {
@@ -154,11 +176,12 @@ fn grown(
         }
         let complete = || leaves_nothing(setup, &next, pool);
         if !judge.is_worth_or(&next, &base, complete) || !judge.is_worth(&next, null) {
+            rejected = Some(next);
             break;
         }
         base = next;
     }
-    (base, refitted)
+    Grown { fit: base, again: refitted, rejected }
 }
 
 /// Where the noise is not reached: the best combination with another effect, or another form, in the place of one of
@@ -169,7 +192,7 @@ fn exchanged(
     fit: &Fit,
     fits: &[Fit],
     (pool, forms): (&[Candidate<'_>], &[EffectAt]),
-    judge: &Judge,
+    judge: &mut Judge,
 ) -> Option<Fit> {
     let effects = &fit.hypothesis.effects;
     if effects.len() < 2 || fit.shooting_error <= INEXACT {
@@ -189,7 +212,7 @@ fn exchanged(
         others.extend(fit_all(setup, &rest, others_of.map(with).collect(), Width::FURTHER, &|_| ()));
         // The last one was chosen beside all others.
         if left_out + 1 < effects.len() {
-            others.extend(extend(setup, &rest, pool, judge));
+            others.extend(extend(setup, null, &rest, fits, pool, judge));
         }
     }
     let best = others.into_iter().min_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)))?;
@@ -224,14 +247,14 @@ fn beginnings<'a>(
     fits: &'a [Fit],
     pool: &[Candidate<'_>],
     judge: &Judge,
-) -> Vec<&'a Fit> {
+) -> (Vec<&'a Fit>, Vec<&'a Fit>) {
     // Where nothing reaches the noise, two effects may do together what neither promises alone.
     let helps = |fit: &Fit| {
         judge.is_worth(fit, null) || (!judge.is_exact() && judge.cost(fit) < judge.cost(null) - EVEN)
     };
     let near = |fit: &Fit| judge.cost(fit) < judge.cost(&fits[0]) + RIVAL;
     let mut chosen: Vec<&Fit> = fits.iter().take(BASES).filter(|fit| helps(fit) && near(fit)).collect();
-    let Some(first) = chosen.first() else { return chosen };
+    let Some(first) = chosen.first() else { return (chosen, Vec::new()) };
     let promise = |base: &Fit| {
         let nuisance = Nuisance::new(base);
         let best = pool.par_iter().filter(|other| !base.hypothesis.effects.contains(other.at));
@@ -249,10 +272,20 @@ fn beginnings<'a>(
     }
     let least = promise(first) - WORTH;
     rivals.sort_by(|a, b| a.0.total_cmp(&b.0));
-    chosen.extend(
-        rivals.into_iter().filter(|(promise, _)| *promise < least).take(PROMISED).map(|(_, fit)| fit),
-    );
-    chosen
+    let promised = rivals.iter().filter(|(promise, _)| *promise < least).take(PROMISED).count();
+    let mut rivals: Vec<&Fit> = rivals.into_iter().map(|(_, fit)| fit).collect();
+    let further = rivals.split_off(promised);
+    chosen.extend(rivals);
+    (chosen, further)
+}
+
+/// Whether one of these leaves nothing material, or nothing at all to any other effect.
+fn is_settled(setup: &Setup, fits: &[Fit], found: &[Fit], pool: &[Candidate<'_>], judge: &Judge) -> bool {
+    let best = fits.iter().chain(found).min_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
+    best.is_some_and(|best| {
+        !judge.is_material_from(best.shooting_error, 1.0)
+            || (best.shooting_error <= INEXACT && leaves_nothing(setup, best, pool))
+    })
 }
 
 /// The combination with one of its effects in the place of which stands another that alone fits exactly as well: one
@@ -278,7 +311,14 @@ fn twins(setup: &Setup, null: &Fit, fit: &Fit, fits: &[Fit], judge: &Judge) -> V
 }
 
 /// The best fit with one effect more, if any effect promises something.
-fn extend(setup: &Setup, base: &Fit, pool: &[Candidate<'_>], judge: &Judge) -> Option<Fit> {
+fn extend(
+    setup: &Setup,
+    null: &Fit,
+    base: &Fit,
+    singles: &[Fit],
+    pool: &[Candidate<'_>],
+    judge: &mut Judge,
+) -> Option<Fit> {
     // What repeats shows best beside what the base explains.
     let setup = &setup.with_lines_of(&base.innovation.pass);
     let nuisance = Nuisance::new(base);
@@ -310,6 +350,10 @@ fn extend(setup: &Setup, base: &Fit, pool: &[Candidate<'_>], judge: &Judge) -> O
         return None;
     }
     let fits = fit_all(setup, base, hypotheses, Width::FURTHER, &|_| ());
+    if !judge.is_exact() && fits.iter().any(|fit| fit.shooting_error <= INEXACT) {
+        // Of what several reach the noise with no single one could judge.
+        *judge = Judge::new(null, singles.iter().chain(&fits));
+    }
     let chosen = simplest(&fits, |fit| judge.cost(fit))?;
     if base.shooting_error <= INEXACT {
         // With a model that is right the innovations say most: windows take a late sensor for another start.
@@ -431,8 +475,12 @@ fn simplify(setup: &Setup, null: &Fit, mut fit: Fit, pool: &[Candidate<'_>], jud
     fit
 }
 
-/// Whether every parameter of an effect is far from its null: a frequency may be where there is no amplitude.
+/// Whether every parameter of an effect is far from its null: a frequency may be where there is no amplitude, and a parameter of the
+/// model that is free of its range may have come back into it.
 fn is_certain(fit: &Fit, effect: usize) -> bool {
+    if fit.hypothesis.effects[effect].effect == Effect::Parameter {
+        return false;
+    }
     let values = fit.theta().iter().zip(fit.innovation.minimum.std());
     let own = fit
         .hypothesis

@@ -59,12 +59,10 @@ pub struct Judge {
 impl Judge {
     /// From all fits, the null model's among them.
     #[must_use]
-    pub fn new(null: &Fit, fits: &[Fit]) -> Self {
-        let best = fits
-            .iter()
-            .chain([null])
-            .min_by(|a, b| a.shooting_error.total_cmp(&b.shooting_error))
-            .unwrap_or(null);
+    pub fn new<'a>(null: &'a Fit, fits: impl IntoIterator<Item = &'a Fit> + Clone) -> Self {
+        let all = || fits.clone().into_iter();
+        let best =
+            all().chain([null]).min_by(|a, b| a.shooting_error.total_cmp(&b.shooting_error)).unwrap_or(null);
         let states = null.innovation.pass.states();
         let exact = best.shooting_error <= INEXACT;
         let bounded = !exact || null.shooting_error <= INEXACT;
@@ -74,7 +72,7 @@ impl Judge {
         let mut plain = null;
         if !bounded {
             let both = |f: &Fit| f.innovation.evidence_cost + best.independence * f.shooting_cost;
-            let same = fits.iter().filter(|f| f.innovation.pass.states() == states);
+            let same = all().filter(|f| f.innovation.pass.states() == states);
             plain = same.min_by(|a, b| both(a).total_cmp(&both(b))).unwrap_or(null);
         }
         let plain = (plain.shooting_cost, plain.innovation.evidence_cost);

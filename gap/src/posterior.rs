@@ -35,6 +35,10 @@ const IDENTICAL: f64 = 1.0 - 1e-7;
 const DOUBT: f64 = 0.45;
 const LEFT: f64 = 0.1;
 
+/// Share of what a form may be off by that an effect must explain beside commands that acted otherwise: when each did is known
+/// better than the form of what moves the machine.
+const BESIDE_ACTED: f64 = 0.1;
+
 /// Answers whose estimates are held to predictions of what was fitted.
 const HELD: usize = 4;
 
@@ -166,9 +170,18 @@ impl Posterior {
         leading.chain(residuals).for_each(|fit| fit.hold_to_predictions(setup));
     }
 
-    /// Takes back what a residual alone speaks for where it is no more than the form may be off by of what lowered the null
-    /// model's mean squared error from `before`: commands that acted otherwise than they were recorded.
+    /// Takes back what answers and a residual alone speak for where it is no more than the form may be off by of what lowered the
+    /// null model's mean squared error from `before`: commands that acted otherwise than they were recorded.
     pub fn forgive(&mut self, null: &Fit, before: f64) {
+        let each = self.log_no_gap - (self.answers.len().max(1) as f64).ln();
+        for answer in &mut self.answers {
+            let closed = null.shooting_error - answer.fit.shooting_error;
+            let beyond = judge::share_of_form(closed, before - 1.0) / BESIDE_ACTED;
+            if beyond < 1.0 {
+                answer.logs.iter_mut().for_each(|log| *log = log.min(each + beyond.max(1e-6).ln()));
+            }
+        }
+        self.settle(None, null);
         let Some(alone) = &self.residual_alone else { return };
         let beyond = judge::share_of_form(null.shooting_error - alone.shooting_error, before - 1.0);
         if beyond < 1.0 {
@@ -259,6 +272,11 @@ pub fn weigh(
     let judge = Judge::new(null, &fits);
     let mut order: Vec<usize> = (0..fits.len()).collect();
     order.sort_by(|a, b| judge.cost(&fits[*a]).total_cmp(&judge.cost(&fits[*b])).then(a.cmp(b)));
+    // Of those that are even the one with the fewest effects leads.
+    let even = order.iter().take_while(|k| judge.cost(&fits[**k]) < judge.cost(&fits[order[0]]) + EVEN);
+    if let Some(first) = (0..even.count()).min_by_key(|k| fits[order[*k]].hypothesis.effects.len()) {
+        order[..=first].rotate_right(1);
+    }
     let forms: Vec<f64> = order.iter().map(|k| forms[*k]).collect();
     let fits: Vec<Fit> = order.into_iter().map(|k| fits[k].clone()).collect();
     let weight = |fit: &Fit| {

@@ -27,6 +27,9 @@ const DECISIVE: (f64, f64) = (10.0, 20.0);
 /// The same by which a leading effect that reaches the noise must beat the nominal model for this one to be no base to look from.
 const EXPLAINED: f64 = 150.0;
 
+/// Mean squared error of short windows, in noise units squared, below which nothing is left but noise.
+const AT_FLOOR: f64 = 1.0;
+
 /// Commands of one input that acted otherwise than they were recorded.
 #[derive(Clone, Debug)]
 pub(crate) struct Acted {
@@ -76,7 +79,7 @@ pub(crate) fn acted(
     let best = others.into_iter().flatten().map(|f| f.innovation.evidence_cost).fold(f64::INFINITY, f64::min);
     let system = setup.equations.system();
     let ways: [(Effect, Way); 2] = [(Effect::Drops, lost::under), (Effect::Jitter, late::under)];
-    let judge = Judge::new(null, &[]);
+    let judge = Judge::new(null, []);
     let gain = null.innovation.evidence_cost - leader.innovation.evidence_cost;
     let explained = leader.shooting_error <= INEXACT && gain > EXPLAINED;
     let tried = |(input, effect, under): (usize, Effect, Way)| {
@@ -89,11 +92,12 @@ pub(crate) fn acted(
         // Under the nominal model first: what they leave for others to explain is looked for afterwards.
         let plain = (!explained).then_some(null);
         let named = (!leader.hypothesis.effects.is_empty()).then_some(leader);
-        let mut bases = plain.into_iter().chain(named);
+        // What joined the leader's first effect may be there for what these commands left.
+        let mut bases = plain.into_iter().chain(part_of(answers, leader)).chain(named);
         bases.find_map(|base| {
             under(setup, base, input, &place).filter(|acted| {
-                // What is less than a leading effect's form may be off by is its form.
-                let form = base.shooting_error <= INEXACT
+                // What is less than a leading effect's form may be off by is its form, where that leaves anything.
+                let form = (AT_FLOOR..=INEXACT).contains(&base.shooting_error)
                     && !base.hypothesis.effects.is_empty()
                     && !judge.is_material_from(base.shooting_error, acted.error);
                 let margin = if base.shooting_error <= INEXACT { DECISIVE.0 } else { DECISIVE.1 };
@@ -109,6 +113,17 @@ pub(crate) fn acted(
     let found: Vec<Acted> = all.into_par_iter().filter_map(tried).collect();
     // Of equals the first.
     found.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost))
+}
+
+/// The best answer with a single effect that is one of several of the leader's.
+fn part_of<'a>(answers: &'a Posterior, leader: &Fit) -> Option<&'a Fit> {
+    let effects = &leader.hypothesis.effects;
+    let singles = answers.answers.iter().flat_map(|answer| [&answer.fit].into_iter().chain(&answer.alike));
+    let parts = singles.filter(|fit| {
+        let own = &fit.hypothesis.effects;
+        effects.len() > 1 && own.len() == 1 && effects.contains(&own[0])
+    });
+    parts.min_by(|a, b| answers.cost(a).total_cmp(&answers.cost(b)))
 }
 
 /// The same hypothesis, fitted to a recording with other commands, from where it is.
