@@ -1,0 +1,193 @@
+//! Combinations with more: where they begin, and one effect after the other as long as each is worth it.
+
+use rayon::prelude::*;
+
+use super::promise::{leaves_nothing, score, score_of};
+use super::{BASES, Candidate, Combine, TWIN, overlap, same};
+use crate::hypothesis::{EffectAt, Hypothesis};
+use crate::judge::{DECISIVE, EVEN, Judge, WORTH};
+use crate::library;
+use crate::search::{Fit, INEXACT, Width, fit_all};
+use crate::signature::{self, Nuisance};
+use crate::stop::SEVERAL;
+
+/// Single effects of which those that promise most are beginnings as well, and how many.
+const PROMISING: usize = 6;
+const PROMISED: usize = 1;
+
+/// Difference of −2 log evidence up to which another single effect is a beginning as well.
+const RIVAL: f64 = 50.0;
+
+/// Effects that are fitted beside a base, the highest in a score test.
+const ADDED: usize = 8;
+
+/// Most effects at once.
+const MOST: usize = 4;
+
+/// What a fit grew to.
+pub(super) struct Grown {
+    /// With further effects, one by one, as long as they are worth it.
+    pub(super) fit: Fit,
+    /// The single one that it began with, where that is fitted better [again](Combine::again).
+    pub(super) again: Option<Fit>,
+    /// The best with one effect more, which was not worth it.
+    pub(super) rejected: Option<Fit>,
+}
+
+/// Where combinations begin.
+pub(super) struct Beginnings<'a> {
+    /// At these in any case: the best single effects, and those with which a second effect promises more than with the best. Of
+    /// two causes neither need be what explains most alone.
+    pub(super) first: Vec<&'a Fit>,
+    /// At these where something is left, those first with which a second effect promises most.
+    pub(super) further: Vec<&'a Fit>,
+}
+
+impl<'a> Combine<'a> {
+    /// The single effects at which combinations begin.
+    pub(super) fn beginnings(&self) -> Beginnings<'a> {
+        let (setup, null, fits, judge) = (self.setup, self.null, self.fits, &self.judge);
+        // Where nothing reaches the noise, two effects may do together what neither promises alone.
+        let helps = |fit: &Fit| {
+            judge.is_worth(fit, null) || (!judge.is_exact() && judge.cost(fit) < judge.cost(null) - EVEN)
+        };
+        let near = |fit: &Fit| judge.cost(fit) < judge.cost(&fits[0]) + RIVAL;
+        let mut first: Vec<&Fit> = fits.iter().take(BASES).filter(|fit| helps(fit) && near(fit)).collect();
+        let Some(best) = first.first() else { return Beginnings { first, further: Vec::new() } };
+        let promise = |base: &Fit| {
+            let nuisance = Nuisance::new(base);
+            let others = self.pool.par_iter().filter(|other| !base.hypothesis.effects.contains(other.at));
+            let most = others.map(|other| score(setup, base, &nuisance, other.at)).reduce(|| 0.0, f64::max);
+            let (all, count) = (nuisance.innovations.norm_squared(), nuisance.innovations.len() as f64);
+            // What the likelihood gains once the noise is that of the rest.
+            base.innovation.evidence_cost + count * (1.0 - most / all).max(1e-6).ln()
+        };
+        let mut rivals: Vec<(f64, &Fit)> = Vec::new();
+        for (k, fit) in fits.iter().enumerate().take(PROMISING).skip(first.len()) {
+            let twin = fits[..k].iter().any(|other| (judge.cost(other) - judge.cost(fit)).abs() < TWIN);
+            if !twin && helps(fit) && !setup.stop.asked() {
+                rivals.push((promise(fit), fit));
+            }
+        }
+        let least = promise(best) - WORTH;
+        rivals.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let promised = rivals.iter().filter(|(promise, _)| *promise < least).take(PROMISED).count();
+        let mut rivals: Vec<&Fit> = rivals.into_iter().map(|(_, fit)| fit).collect();
+        let further = rivals.split_off(promised);
+        first.extend(rivals);
+        Beginnings { first, further }
+    }
+
+    /// A fit with further effects.
+    pub(super) fn grown(&mut self, mut base: Fit) -> Grown {
+        let (mut again, mut rejected) = (None, None);
+        while base.hypothesis.effects.len() < MOST && !self.setup.stop.leaves_out(|| SEVERAL.into()) {
+            let Some(next) = self.extended(&base) else { break };
+            if base.hypothesis.effects.len() == 1 && again.is_none() {
+                again = self.again(&base, &next);
+                if let Some(single) = &again {
+                    base = single.clone();
+                    continue;
+                }
+            }
+            let complete = || leaves_nothing(self.setup, &next, &self.pool);
+            if !self.judge.is_worth_or(&next, &base, complete) || !self.judge.is_worth(&next, self.null) {
+                rejected = Some(next);
+                break;
+            }
+            base = next;
+        }
+        Grown { fit: base, again, rejected }
+    }
+
+    /// Where the noise is not reached: the best combination with another effect, or another form, in the place of one of
+    /// them. Each was chosen before what came later was known.
+    pub(super) fn exchanged(&mut self, fit: &Fit) -> Option<Fit> {
+        let (setup, effects) = (self.setup, &fit.hypothesis.effects);
+        if effects.len() < 2 || fit.shooting_error <= INEXACT {
+            return None;
+        }
+        let mut others: Vec<Fit> = Vec::new();
+        for (left_out, own) in effects.iter().enumerate() {
+            if setup.stop.leaves_out(|| SEVERAL.into()) {
+                return None;
+            }
+            let rest = self.without(fit, left_out);
+            let others_of = self.forms.iter().filter(|at| at.label() == own.label() && *at != own);
+            let with = |form: &EffectAt| {
+                let effects = rest.hypothesis.effects.iter().chain([form]).cloned().collect::<Vec<_>>();
+                library::hypothesis(setup, &effects)
+            };
+            others.extend(fit_all(setup, &rest, others_of.map(with).collect(), Width::FURTHER, &|_| ()));
+            // The last one was chosen beside all others.
+            if left_out + 1 < effects.len() {
+                others.extend(self.extended(&rest));
+            }
+        }
+        let cost = |fit: &Fit| self.judge.cost(fit);
+        let best = others.into_iter().min_by(|a, b| cost(a).total_cmp(&cost(b)))?;
+        (cost(&best) < cost(fit) - WORTH).then_some(best)
+    }
+
+    /// The best fit with one effect more, if any effect promises something.
+    fn extended(&mut self, base: &Fit) -> Option<Fit> {
+        // What repeats shows best beside what the base explains.
+        let setup = &self.setup.with_lines_of(&base.innovation.pass);
+        let nuisance = Nuisance::new(base);
+        let others = self.pool.par_iter();
+        let mut scores: Vec<(f64, &EffectAt, Hypothesis)> = others
+            .filter(|other| !base.hypothesis.effects.iter().any(|own| overlap(own, other.at)))
+            .map(|other: &Candidate<'_>| {
+                let mut effects = base.hypothesis.effects.clone();
+                effects.push(other.at.clone());
+                let mut hypothesis = library::hypothesis(setup, &effects);
+                let mut most = score(setup, base, &nuisance, other.at);
+                if other.helps {
+                    let start = hypothesis.starts_at(&other.alone.hypothesis, other.alone.estimate());
+                    let columns = signature::columns_of(setup, base, &hypothesis, start);
+                    most = most.max(score_of(&nuisance, &columns));
+                }
+                (most, other.at, hypothesis)
+            })
+            .collect();
+        scores.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(b.1)));
+        // Where the noise is not reached, the innovations are ruled by what all lack: there the windows decide.
+        let open = base.shooting_error > INEXACT;
+        let promising = scores.into_iter().filter(|(score, ..)| open || *score > WORTH).take(ADDED);
+        let hypotheses: Vec<_> = promising.map(|(_, _, hypothesis)| hypothesis).collect();
+        if hypotheses.is_empty() {
+            return None;
+        }
+        let fits = fit_all(setup, base, hypotheses, Width::FURTHER, &|_| ());
+        if !self.judge.is_exact() && fits.iter().any(|fit| fit.shooting_error <= INEXACT) {
+            // Several effects reach the noise: from here on both losses are likelihoods of the data.
+            self.judge = Judge::new(self.null, self.fits.iter().chain(&fits));
+        }
+        let judge = &self.judge;
+        let chosen = simplest(&fits, |fit| judge.cost(fit))?;
+        if base.shooting_error <= INEXACT {
+            // With a model that is right the innovations say most: windows take a late sensor for another start.
+            let small: Vec<Fit> = fits.iter().filter(|fit| judge.gains(fit, base)).cloned().collect();
+            let complete = simplest(&small, |fit| fit.innovation.evidence_cost).filter(|fit| {
+                same(&fit.hypothesis.effects, &chosen.hypothesis.effects)
+                    || leaves_nothing(setup, fit, &self.pool)
+            });
+            return complete.or(Some(chosen));
+        }
+        Some(chosen)
+    }
+}
+
+/// Of fits that neither the cost nor the innovations tell apart from the best, the simplest; of these the first in the library's
+/// order where it is truly even.
+fn simplest(fits: &[Fit], cost: impl Fn(&Fit) -> f64) -> Option<Fit> {
+    let best = fits.iter().min_by(|a, b| cost(a).total_cmp(&cost(b)))?;
+    let follows = |fit: &Fit| fit.innovation.evidence_cost < best.innovation.evidence_cost + DECISIVE;
+    let even: Vec<&Fit> = fits.iter().filter(|fit| cost(fit) < cost(best) + WORTH && follows(fit)).collect();
+    let size = |fit: &Fit| fit.hypothesis.fitted.len();
+    let smallest = even.iter().map(|fit| size(fit)).min()?;
+    let simplest: Vec<&Fit> = even.into_iter().filter(|fit| size(fit) == smallest).collect();
+    let least = simplest.iter().map(|fit| cost(fit)).fold(f64::INFINITY, f64::min);
+    let best = simplest.into_iter().filter(|fit| cost(fit) < least + EVEN);
+    best.min_by(|a, b| a.hypothesis.effects.cmp(&b.hypothesis.effects)).cloned()
+}

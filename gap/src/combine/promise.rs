@@ -1,0 +1,60 @@
+//! What a score test promises of a further effect.
+
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+use super::{Candidate, overlap};
+use crate::hypothesis::EffectAt;
+use crate::search::Fit;
+use crate::setup::Setup;
+use crate::signature::{self, Nuisance};
+
+/// Most that any effect may promise, in a score test, beside a combination with which nothing is left: the largest of
+/// some hundred tests by chance.
+const NOTHING: f64 = 20.0;
+
+/// Effects, each with its [signature](signature::columns), by what a score test of the base's innovations promises of them, the
+/// most promising first.
+#[must_use]
+pub fn by_promise(
+    setup: &Setup,
+    base: &Fit,
+    nuisance: &Nuisance,
+    effects: &[EffectAt],
+    columns: &[DMatrix<f64>],
+) -> Vec<EffectAt> {
+    let mut scores: Vec<(f64, &EffectAt)> = effects
+        .par_iter()
+        .zip(columns)
+        .map(|(at, columns)| (score_with(setup, base, nuisance, at, columns), at))
+        .collect();
+    // The sort is stable: of equal effects the library's order holds.
+    scores.sort_by(|a, b| b.0.total_cmp(&a.0));
+    scores.into_iter().map(|(_, at)| at.clone()).collect()
+}
+
+/// Whether no effect of the library promises anything beside a fit.
+pub(super) fn leaves_nothing(setup: &Setup, fit: &Fit, pool: &[Candidate<'_>]) -> bool {
+    let setup = &setup.with_lines_of(&fit.innovation.pass);
+    let nuisance = Nuisance::new(fit);
+    let others =
+        pool.par_iter().filter(|other| !fit.hypothesis.effects.iter().any(|own| overlap(own, other.at)));
+    others.map(|other| score(setup, fit, &nuisance, other.at)).reduce(|| 0.0, f64::max) < NOTHING
+}
+
+/// How much of the base's squared innovations an effect's signature takes, at most: a score test.
+pub(super) fn score(setup: &Setup, base: &Fit, nuisance: &Nuisance, at: &EffectAt) -> f64 {
+    score_with(setup, base, nuisance, at, &signature::columns(setup, base, at))
+}
+
+/// The same where the signature at the first start is known.
+fn score_with(setup: &Setup, base: &Fit, nuisance: &Nuisance, at: &EffectAt, first: &DMatrix<f64>) -> f64 {
+    let further = signature::columns_at_further_starts(setup, base, at);
+    further.iter().map(|columns| score_of(nuisance, columns)).fold(score_of(nuisance, first), f64::max)
+}
+
+pub(super) fn score_of(nuisance: &Nuisance, columns: &DMatrix<f64>) -> f64 {
+    let basis = signature::orthonormal(&nuisance.project_columns(columns));
+    let along: DVector<f64> = basis.transpose() * &nuisance.innovations;
+    Some(along.norm_squared()).filter(|score| score.is_finite()).unwrap_or(0.0)
+}
