@@ -5,8 +5,8 @@
 //! crosses over to the diagnosis is one folder: `recording.toml`, tables, and the nominal `system.toml`.
 //!
 //! A cause that never acts in its recording, such as a stop that is not reached or a limit beyond the commands, is no
-//! cause: its magnitude is drawn again, a limit a little closer each time and each of a pair's on its own, until it
-//! leaves a trace. So is a supply whose sag takes more than half of some command: none gives less to who asks for more.
+//! cause: its magnitude is drawn again, a limit a little closer each time, until it leaves a trace: each of a pair's on its
+//! own, and the second one also beside the first, so that both do. So is a supply whose sag takes more than half of some command: none gives less to who asks for more.
 
 // Equations of motion are read by index, as they are written.
 #![allow(clippy::needless_range_loop)]
@@ -200,24 +200,27 @@ fn case(plan: &Plan, seed: u64) -> Result<Case, TruthError> {
     let poor = plan.set == Set::PoorExcitation;
     let alone = |causes: Vec<Cause>| Case { system, causes, duration, poor, seed, take: 0 };
     let mut rng = stream(seed, 4);
-    let mut drawn = |(kind, place): (Kind, Place), member: u64| {
+    let mut drawn = |(kind, place): (Kind, Place), beside: Option<Cause>| {
+        let member = u64::from(beside.is_some());
         let noise = if let Place::Output(o) = place { noise[o] } else { 0.0 };
         let first = effect::draw(system, kind, place, duration, noise, &mut rng);
         let again = (0..REDRAWS).map(|k| {
             let mut rng = stream(seed, 400 + 100 * member + k);
             effect::draw(system, kind, place, duration, noise, &mut rng).closer(k)
         });
-        std::iter::once(first).chain(again).find(|cause| acts(&alone(vec![*cause]))).unwrap_or(first)
+        let both = |cause: &Cause| beside.is_none_or(|other| both_act(&alone(vec![other, *cause])));
+        let mut all = std::iter::once(first).chain(again);
+        all.find(|cause| acts(&alone(vec![*cause])) && both(cause)).unwrap_or(first)
     };
     let all = causes(plan.set, system);
     let mut causes = Vec::new();
     if plan.set != Set::Null {
         let first = *all.get(plan.effect).ok_or_else(unknown)?;
-        causes.push(drawn(first, 0));
+        causes.push(drawn(first, None));
         if plan.set == Set::Pair {
             let others: Vec<_> = all.iter().filter(|c| c.1 != first.1).collect();
             let second = others[stream(seed, 5).random_range(0..others.len())];
-            causes.push(drawn(*second, 1));
+            causes.push(drawn(*second, Some(causes[0])));
         }
     }
     Ok(alone(causes))
@@ -227,6 +230,13 @@ fn case(plan: &Plan, seed: u64) -> Result<Case, TruthError> {
 fn acts(case: &Case) -> bool {
     let run = case.run();
     is_supply(case, &run) && (!sound(case, &run) || signature::detectability(case, &run) >= ACTS)
+}
+
+/// Whether each of a pair's causes leaves a trace beside the other: friction may keep a machine from the stop that it would reach
+/// without.
+fn both_act(case: &Case) -> bool {
+    let run = case.run();
+    !sound(case, &run) || signature::least_beside(case, &run) >= ACTS
 }
 
 /// Most of a command that the inner resistance of a supply may take: beyond one half whoever asks for more gets less (maximum

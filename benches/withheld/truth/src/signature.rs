@@ -70,6 +70,16 @@ pub(crate) fn detectability(case: &Case, run: &Run) -> f64 {
     view.map_or(0.0, |view| view.cost) + scatter(case, run)
 }
 
+/// The same that each of two causes is worth beside the other, the lesser of the two.
+pub(crate) fn least_beside(case: &Case, run: &Run) -> f64 {
+    let beside = |known: Vec<Cause>| View::fit(case, run, known).map_or(0.0, |view| view.cost);
+    match moving(case).as_slice() {
+        [first, second] => beside(vec![*second]).min(beside(vec![*first])),
+        [_] => beside(Vec::new()).min(scatter(case, run)),
+        _ => scatter(case, run),
+    }
+}
+
 /// Twice the log-likelihood ratio that the causes are worth, and the labels of the class: the causes, then what is alike
 /// one of them beside the others.
 pub(crate) fn judge(case: &Case, run: &Run) -> (f64, Vec<String>) {

@@ -269,6 +269,15 @@ fn a_cause_that_never_acts_is_drawn_again() {
 }
 
 #[test]
+fn each_of_a_pair_acts_beside_the_other() {
+    // Friction keeps this pendulum from where its sensor would clip.
+    let plan = Plan { set: Set::Pair, system: 0, effect: 14 };
+    let case = crate::case(&plan, 16336837335011046638).unwrap();
+    let worth = crate::signature::least_beside(&case, &case.run());
+    assert!(worth >= 0.1, "{worth} of {:?}", case.causes);
+}
+
+#[test]
 fn no_supply_gives_less_to_who_asks_for_more() {
     let (system, sag) =
         (ALL.iter().position(|system| system.name == "linear-axis").unwrap(), Kind::SupplySag);
