@@ -12,7 +12,7 @@ pub const EVEN: f64 = 1.0;
 pub const DECISIVE: f64 = 20.0;
 
 /// Share of an output's squared error beyond the noise that a further effect must close where no hypothesis reaches the noise.
-const CLOSED: f64 = 0.4;
+const CLOSED: f64 = 0.25;
 
 /// Share of the gap's square that a further effect must close: what is less may as well be the form of the first one,
 /// which nobody knows to the last percent.

@@ -21,6 +21,10 @@ const RIVAL: f64 = 50.0;
 /// Effects that are fitted beside a base, the highest in a score test.
 const ADDED: usize = 8;
 
+/// The same of those that explain most alone, at other places than the base's, where the base does not reach the noise: a score test
+/// of innovations is ruled there by what all lack.
+const ALONE: usize = 3;
+
 /// Most effects at once.
 const MOST: usize = 4;
 
@@ -153,8 +157,21 @@ impl<'a> Combine<'a> {
         scores.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(b.1)));
         // Where the noise is not reached, the innovations are ruled by what all lack: there the windows decide.
         let open = base.shooting_error > INEXACT;
-        let promising = scores.into_iter().filter(|(score, ..)| open || *score > WORTH).take(ADDED);
-        let hypotheses: Vec<_> = promising.map(|(_, _, hypothesis)| hypothesis).collect();
+        let mut left = scores.into_iter().filter(|(score, ..)| open || *score > WORTH);
+        let mut hypotheses: Vec<Hypothesis> =
+            left.by_ref().take(ADDED).map(|(.., hypothesis)| hypothesis).collect();
+        if open {
+            // And those that explain most alone, elsewhere.
+            let places: Vec<_> = base.hypothesis.effects.iter().map(|at| &at.place).collect();
+            let by_windows = |at: &EffectAt| {
+                let own = self.pool.iter().find(|own| own.at == at && own.helps)?;
+                (!places.contains(&&at.place)).then(|| self.judge.cost(own.alone))
+            };
+            let mut alone: Vec<(f64, Hypothesis)> =
+                left.filter_map(|(_, at, hypothesis)| Some((by_windows(at)?, hypothesis))).collect();
+            alone.sort_by(|a, b| a.0.total_cmp(&b.0));
+            hypotheses.extend(alone.into_iter().take(ALONE).map(|(_, hypothesis)| hypothesis));
+        }
         if hypotheses.is_empty() {
             return None;
         }
