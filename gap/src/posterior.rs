@@ -173,21 +173,21 @@ impl Posterior {
     /// Takes back what answers and a residual alone speak for where it is no more than the form may be off by of what lowered the
     /// null model's mean squared error from `before`: commands that acted otherwise than they were recorded.
     pub fn forgive(&mut self, null: &Fit, before: f64) {
+        let beyond = |fit: &Fit| judge::share_of_form(null.shooting_error - fit.shooting_error, before - 1.0);
         let each = self.log_no_gap - (self.answers.len().max(1) as f64).ln();
         for answer in &mut self.answers {
-            let closed = null.shooting_error - answer.fit.shooting_error;
-            let beyond = judge::share_of_form(closed, before - 1.0) / BESIDE_ACTED;
+            let beyond = beyond(&answer.fit) / BESIDE_ACTED;
             if beyond < 1.0 {
                 answer.logs.iter_mut().for_each(|log| *log = log.min(each + beyond.max(1e-6).ln()));
             }
         }
-        self.settle(None, null);
-        let Some(alone) = &self.residual_alone else { return };
-        let beyond = judge::share_of_form(null.shooting_error - alone.shooting_error, before - 1.0);
-        if beyond < 1.0 {
+        if let Some(beyond) = self.residual_alone.as_ref().map(beyond).filter(|beyond| *beyond < 1.0) {
             self.log_alone = self.log_alone.min(self.log_no_gap + beyond.max(1e-6).ln());
-            self.settle(None, null);
         }
+        let log = |answer: &Answer| answer.logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let best = self.answers.iter().max_by(|a, b| log(a).total_cmp(&log(b)));
+        let best = best.map(|answer| (answer.fit.clone(), log(answer)));
+        self.settle(best.as_ref().map(|(fit, log)| (fit, *log)), null);
     }
 
     /// Probabilities from the weights; `best` is the best fit with its weight. Gives the weight of all that is a gap.

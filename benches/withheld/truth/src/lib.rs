@@ -6,7 +6,8 @@
 //!
 //! A cause that never acts in its recording, such as a stop that is not reached or a limit beyond the commands, is no
 //! cause: its magnitude is drawn again, a limit a little closer each time, until it leaves a trace: each of a pair's on its
-//! own, and the second one also beside the first, so that both do. So is a supply whose sag takes more than half of some command: none gives less to who asks for more.
+//! own, and the second one also beside the first, so that both do. So is a supply whose sag takes more than half of some
+//! command: none gives less to who asks for more.
 
 // Equations of motion are read by index, as they are written.
 #![allow(clippy::needless_range_loop)]
