@@ -64,3 +64,11 @@ fn a_wave_beside_a_sensor_that_is_behind_stays_a_wave() {
     let names = names(&report);
     assert!(names.contains(&"cogging".into()) && names.len() == 2, "{}", report.summary);
 }
+
+/// Each of the two leaves far more than the noise, so that the first one alone is judged by windows, to which a spring's free states
+/// are costly; the two together reach it.
+#[test]
+fn a_spring_in_the_drive_beside_a_clock_that_gains() {
+    let report = diagnose(Hidden { skew: 0.002, flexible: Some((8.0, 0.02, 0.3)), ..Hidden::default() }, 15);
+    assert_eq!(names(&report), ["clock_skew", "flexibility"], "{}", report.summary);
+}
