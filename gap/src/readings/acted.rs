@@ -96,8 +96,11 @@ pub(crate) fn acted(
         let mut bases = plain.into_iter().chain(part_of(answers, leader)).chain(named);
         bases.find_map(|base| {
             under(setup, base, input, &place).filter(|acted| {
-                // What is less than a leading effect's form may be off by is its form, where that leaves anything.
-                let form = (AT_FLOOR..=INEXACT).contains(&base.shooting_error)
+                // What is less than a leading effect's form may be off by is its form; where that leaves nothing, a few lost
+                // commands may still be told, times that scatter a little are of how commands are held between their stamps.
+                let exact = base.shooting_error < AT_FLOOR && effect == Effect::Drops;
+                let form = base.shooting_error <= INEXACT
+                    && !exact
                     && !base.hypothesis.effects.is_empty()
                     && !judge.is_material_from(base.shooting_error, acted.error);
                 let margin = if base.shooting_error <= INEXACT { DECISIVE.0 } else { DECISIVE.1 };
