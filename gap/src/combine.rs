@@ -52,11 +52,10 @@ struct Combine<'a> {
 #[must_use]
 pub fn combinations(setup: &Setup, null: &Fit, fits: &[Fit], forms: &[EffectAt], judge: &Judge) -> Vec<Fit> {
     let helps = |alone: &Fit| judge.cost(alone) < judge.cost(null) - WORTH;
-    let candidate = |alone| {
-        let alone: &Fit = alone;
+    let pool = fits.iter().filter_map(|alone| {
         Some(Candidate { at: alone.hypothesis.effects.first()?, alone, helps: helps(alone) })
-    };
-    let pool = fits.iter().filter_map(candidate).collect();
+    });
+    let pool = pool.collect();
     let mut combine = Combine { setup, null, fits, forms, pool, judge: *judge };
     let Beginnings { first, further } = combine.beginnings();
     let mut found: Vec<Fit> = Vec::new();

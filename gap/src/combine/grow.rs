@@ -82,7 +82,7 @@ impl<'a> Combine<'a> {
         Beginnings { first, further }
     }
 
-    /// A fit with further effects.
+    /// A fit with further effects, one by one.
     pub(super) fn grown(&mut self, mut base: Fit) -> Grown {
         let (mut again, mut rejected) = (None, None);
         while base.hypothesis.effects.len() < MOST && !self.setup.stop.leaves_out(|| SEVERAL.into()) {
@@ -139,9 +139,9 @@ impl<'a> Combine<'a> {
         let setup = &self.setup.with_lines_of(&base.innovation.pass);
         let nuisance = Nuisance::new(base);
         let others = self.pool.par_iter();
-        let mut scores: Vec<(f64, &EffectAt, Hypothesis)> = others
+        let mut scores: Vec<(f64, &Candidate<'_>, Hypothesis)> = others
             .filter(|other| !base.hypothesis.effects.iter().any(|own| overlap(own, other.at)))
-            .map(|other: &Candidate<'_>| {
+            .map(|other| {
                 let mut effects = base.hypothesis.effects.clone();
                 effects.push(other.at.clone());
                 let mut hypothesis = library::hypothesis(setup, &effects);
@@ -151,10 +151,10 @@ impl<'a> Combine<'a> {
                     let columns = signature::columns_of(setup, base, &hypothesis, start);
                     most = most.max(score_of(&nuisance, &columns));
                 }
-                (most, other.at, hypothesis)
+                (most, other, hypothesis)
             })
             .collect();
-        scores.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(b.1)));
+        scores.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.at.cmp(b.1.at)));
         // Where the noise is not reached, the innovations are ruled by what all lack: there the windows decide.
         let open = base.shooting_error > INEXACT;
         let mut left = scores.into_iter().filter(|(score, ..)| open || *score > WORTH);
@@ -162,13 +162,13 @@ impl<'a> Combine<'a> {
             left.by_ref().take(ADDED).map(|(.., hypothesis)| hypothesis).collect();
         if open {
             // And those that explain most alone, elsewhere.
-            let places: Vec<_> = base.hypothesis.effects.iter().map(|at| &at.place).collect();
-            let by_windows = |at: &EffectAt| {
-                let own = self.pool.iter().find(|own| own.at == at && own.helps)?;
-                (!places.contains(&&at.place)).then(|| self.judge.cost(own.alone))
+            let is_elsewhere = |other: &Candidate<'_>| {
+                other.helps && base.hypothesis.effects.iter().all(|own| own.place != other.at.place)
             };
-            let mut alone: Vec<(f64, Hypothesis)> =
-                left.filter_map(|(_, at, hypothesis)| Some((by_windows(at)?, hypothesis))).collect();
+            let mut alone: Vec<(f64, Hypothesis)> = left
+                .filter(|(_, other, _)| is_elsewhere(other))
+                .map(|(_, other, hypothesis)| (self.judge.cost(other.alone), hypothesis))
+                .collect();
             alone.sort_by(|a, b| a.0.total_cmp(&b.0));
             hypotheses.extend(alone.into_iter().take(ALONE).map(|(_, hypothesis)| hypothesis));
         }

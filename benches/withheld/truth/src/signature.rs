@@ -70,7 +70,8 @@ pub(crate) fn detectability(case: &Case, run: &Run) -> f64 {
     view.map_or(0.0, |view| view.cost) + scatter(case, run)
 }
 
-/// The same that each of two causes is worth beside the other, the lesser of the two.
+/// The same that each of two causes is worth beside the other, the lesser of the two; of two that only scatter readings, each of
+/// which does so of its own sensor, what both are.
 pub(crate) fn least_beside(case: &Case, run: &Run) -> f64 {
     let beside = |known: Vec<Cause>| View::fit(case, run, known).map_or(0.0, |view| view.cost);
     match moving(case).as_slice() {
