@@ -34,8 +34,8 @@ pub enum RecordingError {
     },
     /// The file does not begin as an MCAP file does.
     #[error(
-        "{path}: this is not an MCAP file (it begins with {found:02x?}). A recording is a .mcap file; a folder of CSV \
-         files with a recording.toml is read with `import`"
+        "{path}: this is not an MCAP file (it begins with {found:02x?}). A recording is a .mcap file; a CSV file, or a \
+         folder of them with a recording.toml, is read with `import`"
     )]
     NotMcap {
         /// The file.
