@@ -1,4 +1,4 @@
-//! Several effects at once: from the best single ones [forward](grow), and [back](shorten) where one of them is not needed.
+//! Several effects at once: from the best single ones forward (`grow`), and back (`shorten`) where one of them is not needed.
 
 mod grow;
 mod promise;
