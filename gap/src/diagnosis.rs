@@ -19,6 +19,7 @@ use crate::detect;
 use crate::excitation::{self, Wishes};
 use crate::experiment::Experiment;
 use crate::explain;
+use crate::floor;
 use crate::hypothesis::EffectAt;
 use crate::innovation::walk;
 use crate::library;
@@ -324,16 +325,18 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
 
     let named_one = (detected, detected && named);
     let mut causes = Models::new(setup, &null, &answers, &rows, named_one, acted.as_ref()).causes(&readings);
-    if detected && named && causes.is_empty() && acted.is_none() {
-        // What may close something is given the benefit of the doubt, unless the best guess is that it closes nothing.
-        let closed = &how_far.closed_by_effect;
-        answers.doubt(if closed.value > 0.0 { closed.high } else { closed.value });
+    let closes_nothing = how_far.closed_by_effect.value <= 0.0;
+    if detected && named && acted.is_none() && (causes.is_empty() || closes_nothing) {
+        answers.doubt(closed_of_what_can_be(setup, best, refitted, with_effect, options.seed));
     }
-    let unexplained = Unexplained { probability: answers.unexplained, share };
     if let Some(acted) = acted {
         readings.push(acted.effect.clone());
         causes.push(acted.effect);
     }
+    if !(causes.is_empty() || detected && named) {
+        answers.stand_beside_another(&null);
+    }
+    let unexplained = Unexplained { probability: answers.unexplained, share };
     let chance = causes.iter().map(|r| (0.5 * r.evidence).exp()).fold(p_value, f64::min);
     let (mean_detected, detected) = (detected, detected || !causes.is_empty());
     let shown = if mean_detected && named { best } else { &null };
@@ -376,6 +379,18 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     let mut diagnosis = Diagnosis { report, overlays, calibrated, refitted, effects, rows };
     diagnosis.report.summary = crate::report::sentence::summary(&diagnosis.report);
     diagnosis
+}
+
+/// The share of the gap on held-out time that the `best` answer closes of what an exact model could, its rows before and `after`. What
+/// may close something is given the benefit of the doubt, unless the best guess is that it closes nothing.
+fn closed_of_what_can_be(setup: &Setup, best: &Fit, before: &Row, after: &Row, seed: u64) -> f64 {
+    let simulator = library::simulator(setup, &best.hypothesis, best.residuals.clone());
+    let floor = floor::expected(setup, &simulator, best.estimate(), &best.innovation.noise);
+    if after.mean_square() <= floor {
+        return 1.0;
+    }
+    let closed = quantify::closed_to(floor, before, after, seed);
+    if closed.value > 0.0 { closed.high } else { closed.value }
 }
 
 /// What each of several effects closes; nothing for one.

@@ -13,6 +13,7 @@ mod lanes;
 mod likelihood;
 mod mend;
 mod refit;
+mod uncertainty;
 
 use std::ops::Range;
 
@@ -24,6 +25,7 @@ use crate::lockstep::{self, Lockstep, Stretch};
 use crate::simulator::{Gradient, LANES, Motion, Run, wrapped};
 use lanes::{Covariance, Pattern, Read};
 use likelihood::Likelihood;
+pub use uncertainty::Uncertainty;
 
 /// Noise intensities.
 #[derive(Clone, Debug, PartialEq)]

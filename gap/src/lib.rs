@@ -79,6 +79,7 @@ pub mod experiment;
 pub mod explain;
 pub mod filter;
 pub mod fit;
+pub mod floor;
 pub mod guess;
 mod held_out;
 pub mod hypothesis;

@@ -1,18 +1,20 @@
 //! The weights of the answers: evidence, tempered, gathered into classes that the data cannot tell apart.
 
+mod classes;
+
 use nalgebra::DVector;
-use parallax_model::effect::PlaceKind;
 
 use crate::combine;
 use crate::fit::TEMPERATURE;
 use crate::hypothesis::EffectAt;
-use crate::judge::{self, DECISIVE, EVEN, Judge};
+use crate::judge::{self, DECISIVE, EVEN, Judge, WORTH};
 use crate::options::Options;
 use crate::search::Fit;
 use crate::setup::Setup;
 use crate::signature::{self, Nuisance, SAME};
 use crate::stop::UNKNOWN;
 use crate::unknown;
+use classes::{beyond_its_range, gives_way, lead_with_the_simplest};
 use rayon::prelude::*;
 
 /// Prior probability that there is no gap, and that no named effect describes it; effects share the rest equally.
@@ -21,9 +23,6 @@ const PRIOR_UNKNOWN: f64 = 0.1;
 
 /// Prior probability that a cause has a further effect beside it, shared by all that it might be.
 const PRIOR_FURTHER: f64 = 0.3;
-
-/// Difference of −2 log evidence up to which the simpler of two effects with one signature is named.
-const EQUAL: f64 = 10.0;
 
 /// Cosine of two signatures from which they are of one and the same change of the model: of a pendulum's motor constant and its
 /// inverse inertia they differ in the sixth digit.
@@ -128,7 +127,10 @@ impl Posterior {
         let member = (0..leader.logs.len()).max_by(|a, b| leader.logs[*a].total_cmp(&leader.logs[*b]));
         let member = member.unwrap_or(0);
         let best = member.checked_sub(1).map_or(&leader.fit, |other| &leader.alike[other]).clone();
-        if let Some(together) = residual_on(setup, null, &best, &self.judge, &|| ()) {
+        // What is hardly likelier by itself than that there is no gap has no part in what a residual beside it explains.
+        let helps = leader.logs[member] - self.log_no_gap > 0.5 * WORTH / TEMPERATURE;
+        let together = helps.then(|| residual_on(setup, null, &best, &self.judge, &|| ())).flatten();
+        if let Some(together) = together {
             let gain = 0.5 * (self.judge.cost(&best) - self.judge.cost(&together)) / TEMPERATURE;
             leader.logs[member] += (gain + PRIOR_UNKNOWN.ln()).max(0.0);
             self.residual_on_leader = Some(together).filter(|_| gain > 0.0);
@@ -170,6 +172,15 @@ impl Posterior {
         leading.chain(residuals).for_each(|fit| fit.hold_to_predictions(setup));
     }
 
+    /// Weighs the answers as what there is beside a cause that was found apart from them, one that leaves predictions as they are.
+    pub fn stand_beside_another(&mut self, null: &Fit) {
+        let further = (PRIOR_FURTHER / (1.0 - PRIOR_NO_GAP)).ln();
+        self.log_no_gap += ((1.0 - PRIOR_FURTHER) / PRIOR_NO_GAP).ln();
+        self.log_alone += further;
+        self.answers.iter_mut().flat_map(|answer| &mut answer.logs).for_each(|log| *log += further);
+        self.settle_on_best(null);
+    }
+
     /// Takes back what answers and a residual alone speak for where it is no more than the form may be off by of what lowered the
     /// null model's mean squared error from `before`: commands that acted otherwise than they were recorded.
     pub fn forgive(&mut self, null: &Fit, before: f64) {
@@ -184,6 +195,10 @@ impl Posterior {
         if let Some(beyond) = self.residual_alone.as_ref().map(beyond).filter(|beyond| *beyond < 1.0) {
             self.log_alone = self.log_alone.min(self.log_no_gap + beyond.max(1e-6).ln());
         }
+        self.settle_on_best(null);
+    }
+
+    fn settle_on_best(&mut self, null: &Fit) {
         let log = |answer: &Answer| answer.logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let best = self.answers.iter().max_by(|a, b| log(a).total_cmp(&log(b)));
         let best = best.map(|answer| (answer.fit.clone(), log(answer)));
@@ -195,9 +210,9 @@ impl Posterior {
         let mut log_unknown = self.log_alone;
         if let (Some(alone), Some((best, log))) = (&self.residual_alone, best) {
             // What a residual explains beyond a named cause is evidence against it only if it is material: no effect has
-            // exactly the form that the library gives it.
+            // exactly the form that the library gives it. A cause that is no likelier than none is no measure.
             let beyond = self.judge.beyond_form(alone, best);
-            if beyond < 1.0 && self.judge.cost(best) < self.judge.cost(null) {
+            if beyond < 1.0 && log > self.log_no_gap && self.judge.cost(best) < self.judge.cost(null) {
                 log_unknown = log_unknown.min(log + beyond.max(1e-6).ln());
             }
         }
@@ -221,6 +236,12 @@ impl Posterior {
         }
         self.answers.sort_by(|a, b| b.probability.total_cmp(&a.probability));
         largest + of_a_gap.ln()
+    }
+
+    /// Whether the leading answer is more likely than that there is no gap.
+    #[must_use]
+    pub fn leads_the_null(&self) -> bool {
+        self.answers.first().is_some_and(|answer| answer.probability > self.no_gap)
     }
 
     /// Whether the leading answer is more likely than that none of them is right.
@@ -411,70 +432,6 @@ fn best_forms(fits: &mut Vec<Fit>) -> Vec<f64> {
         first
     });
     forms
-}
-
-/// Whether one has what the other has but for an effect that contains a simpler one at the same place, and either has a
-/// parameter to spare there or explains no more of the gap than the simpler one's form may be off by.
-fn gives_way(fit: &Fit, to: &Fit, judge: &Judge) -> bool {
-    let beyond = |all: &Fit, other: &Fit| -> Vec<usize> {
-        let known = &other.hypothesis.effects;
-        (0..all.hypothesis.effects.len()).filter(|&k| !known.contains(&all.hypothesis.effects[k])).collect()
-    };
-    let ([own], [other]) = (&beyond(fit, to)[..], &beyond(to, fit)[..]) else { return false };
-    let (at, simpler) = (&fit.hypothesis.effects[*own], &to.hypothesis.effects[*other]);
-    at.place == simpler.place
-        && at.effect.simpler().contains(&simpler.effect)
-        && (!judge.is_material(fit, to) || judge.is_spare(fit, *own, to))
-}
-
-/// Whether it takes a calibrated parameter beyond the range that the system's file gives it.
-fn beyond_its_range(setup: &Setup, fit: &Fit) -> bool {
-    let calibrated = |name: &str| {
-        let mut parameters = setup.equations.system().parameters.iter();
-        parameters.any(|p| p.name == name && p.calibrate.is_some())
-    };
-    fit.hypothesis.effects.iter().any(|at| at.place.kind == PlaceKind::Parameter && calibrated(&at.place.key))
-}
-
-/// Puts the member to be named first: the simplest of those that the evidence does not tell apart from the best. One
-/// with fewer parameters may be a little worse, and where nothing reaches the noise by what the best one's form is off;
-/// of equally simple ones the first in the library's order, which puts commands before readings, only where the evidence
-/// is truly even. What contradicts the system's file (`contradicts`), by itself or in a parameter's place, comes after all
-/// that does not.
-fn lead_with_the_simplest(
-    class: &mut [usize],
-    fits: &[Fit],
-    judge: &Judge,
-    contradicts: &dyn Fn(usize) -> bool,
-) {
-    let cost = |k: usize| judge.cost(&fits[k]);
-    let least = |all: &mut dyn Iterator<Item = usize>| all.min_by(|a, b| cost(*a).total_cmp(&cost(*b)));
-    let Some(first) = least(&mut class.iter().copied()) else { return };
-    let honest = least(&mut class.iter().copied().filter(|&k| !contradicts(k)))
-        .filter(|&k| cost(k) - cost(first) < EQUAL);
-    let best = honest.unwrap_or(first);
-    let size = |k: usize| fits[k].hypothesis.fitted.len();
-    let spare = (0..fits[best].hypothesis.effects.len()).any(|k| fits[best].has_spare(k));
-    let eligible = |k: usize| {
-        if honest.is_some() && contradicts(k) {
-            return false;
-        }
-        let worse = cost(k) - cost(best);
-        let form = !judge.is_exact() && judge.beyond_form(&fits[best], &fits[k]) < 1.0;
-        let gives_way = spare || form || gives_way(&fits[best], &fits[k], judge);
-        worse < EVEN || (size(k) < size(best) && (worse < EQUAL || gives_way))
-    };
-    let eligible: Vec<usize> = class.iter().copied().filter(|&k| eligible(k)).collect();
-    let smallest = eligible.iter().map(|&k| size(k)).min().unwrap_or_default();
-    let simplest = eligible.into_iter().filter(|&k| size(k) == smallest);
-    let least = simplest.clone().map(cost).fold(f64::INFINITY, f64::min);
-    let named = simplest
-        .filter(|&k| cost(k) < least + EVEN)
-        .min_by_key(|&k| fits[k].hypothesis.effects.clone())
-        .and_then(|named| class.iter().position(|&k| k == named));
-    if let Some(named) = named {
-        class[..=named].rotate_right(1);
-    }
 }
 
 #[cfg(test)]

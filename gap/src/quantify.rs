@@ -7,6 +7,7 @@ use parallax_model::plant::Plant;
 
 use crate::equations::EquationsSimulator;
 use crate::filter::Noise;
+use crate::floor;
 use crate::innovation::{Segment, walk};
 use crate::report::{Interval, Overlay, WORST_SHARE};
 use crate::setup::Setup;
@@ -62,9 +63,7 @@ pub fn predict(setup: &Setup, simulator: &dyn Simulator, theta: &[f64], noise: &
         let wide = Segment { from, ..segment.clone() };
         let pass = walk(simulator, std::slice::from_ref(&wide), &setup.noise, noise, theta);
         let mut run = simulator.run(theta);
-        // The filter needs readings before the first start, or it knows no speed.
-        let mut start = segment.from.max(from + setup.horizon);
-        while start + 0.5 * setup.horizon < segment.to {
+        for start in floor::starts(setup, segment, from) {
             let end = (start + setup.horizon).min(segment.to);
             let Some(last) = pass.stamp.iter().rposition(|s| *s < start) else { break };
             let mut x = pass.state[last * n..(last + 1) * n].to_vec();
@@ -94,7 +93,6 @@ pub fn predict(setup: &Setup, simulator: &dyn Simulator, theta: &[f64], noise: &
                 row.readings.push((reading.output, reading.stamp, reading.value, reading.value - error));
             }
             row.blocks.push(block);
-            start += setup.horizon;
         }
     }
     row
@@ -131,13 +129,19 @@ pub fn refine_step(setup: &mut Setup) {
 /// The floor is one noise unit squared. Where there was no gap to close the share is zero.
 #[must_use]
 pub fn closed(before: &Row, after: &Row, seed: u64) -> Interval {
+    closed_to(1.0, before, after, seed)
+}
+
+/// The same to another `floor` (noise units squared).
+#[must_use]
+pub fn closed_to(floor: f64, before: &Row, after: &Row, seed: u64) -> Interval {
     let share = |b: f64, a: f64| {
-        let gap = b - 1.0;
+        let gap = b - floor;
         if a.is_nan() || b.is_nan() {
             // A prediction that fails closes nothing.
             WORST_SHARE
         } else if gap > 1e-9 {
-            (1.0 - (a - 1.0).max(0.0) / gap).clamp(WORST_SHARE, 1.0)
+            (1.0 - (a - floor).max(0.0) / gap).clamp(WORST_SHARE, 1.0)
         } else {
             0.0
         }

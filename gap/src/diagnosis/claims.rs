@@ -18,7 +18,7 @@ const LEAST_CLOSED: (f64, f64) = (0.3, 0.1);
 
 /// Takes from the unknown cause that outweighs the leading answer what predictions of held-out time (`row`) deny it: all but its prior
 /// where it spoils them and the answer does not; where it explains no more beyond the answer than the answer's form may be off by, all
-/// that makes it more likely than that.
+/// that makes it more likely than that. An answer that is no likelier than that there is no gap denies nothing.
 pub(super) fn hold_unknown(
     answers: &mut Posterior,
     null: &Fit,
@@ -27,7 +27,7 @@ pub(super) fn hold_unknown(
     seed: u64,
 ) {
     let (Some(alone), Some(leader)) = (answers.residual(false), answers.answers.first()) else { return };
-    if alone.shooting_error <= INEXACT {
+    if alone.shooting_error <= INEXACT || !answers.leads_the_null() {
         return;
     }
     let exact = leader.fit.shooting_error <= INEXACT;

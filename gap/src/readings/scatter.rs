@@ -5,8 +5,9 @@
 //! reading by reading. A wrong mean leaves innovations that resemble their neighbours instead, so only white ones are
 //! judged.
 
-use parallax_model::effect::Place;
-use parallax_model::effect::PlaceKind;
+use std::ops::Range;
+
+use parallax_model::effect::{Place, PlaceKind};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -51,6 +52,11 @@ const OPEN: f64 = 12.0;
 
 /// Periods of a command by which its times may scatter: beyond that it would be another command.
 pub(super) const MOST_PERIODS: f64 = 5.0;
+
+/// Stretches of a log, and the share of what speaks for times of readings that scatter beyond which one of them speaks for something
+/// else: the blow of a wall, which no model knows, comes while the machine is fast, and once.
+const STRETCHES: usize = 40;
+const MOST_OF_ONE: f64 = 0.8;
 
 /// Smallest spread of times that is looked for (s).
 const LEAST_SPREAD: f64 = 1e-6;
@@ -326,9 +332,15 @@ impl Sensitivity {
 
     /// Log likelihood of innovations of variance `floor`² + (scale × size)².
     fn log(&self, scale: f64, floor: f64) -> f64 {
+        self.log_of(0..self.innovations.len(), scale, floor)
+    }
+
+    /// The same of some of the readings.
+    fn log_of(&self, readings: Range<usize>, scale: f64, floor: f64) -> f64 {
+        let (innovations, size) = (&self.innovations[readings.clone()], &self.size[readings]);
         let (mut quadratic, mut logarithms) = (0.0, 0.0);
         // One logarithm for a few readings.
-        for (innovations, sizes) in self.innovations.chunks(4).zip(self.size.chunks(4)) {
+        for (innovations, sizes) in innovations.chunks(4).zip(size.chunks(4)) {
             let mut product = 1.0_f64;
             for (e, h) in innovations.iter().zip(sizes) {
                 let variance = floor * floor + (scale * h).powi(2);
@@ -338,6 +350,18 @@ impl Sensitivity {
             logarithms += product.ln();
         }
         -0.5 * (quadratic + logarithms)
+    }
+
+    /// Whether a scatter of this scale gains most of its log likelihood in one stretch.
+    fn is_of_one_stretch(&self, scale: f64) -> bool {
+        let (plain, floor) = (self.floor(0.0), self.floor(scale));
+        let count = self.innovations.len();
+        let stretches = (0..STRETCHES).map(|k| count * k / STRETCHES..count * (k + 1) / STRETCHES);
+        let gain = |readings: Range<usize>| {
+            self.log_of(readings.clone(), scale, floor) - self.log_of(readings, 0.0, plain)
+        };
+        let gains: Vec<f64> = stretches.map(gain).collect();
+        gains.iter().copied().fold(0.0, f64::max) > MOST_OF_ONE * gains.iter().sum::<f64>()
     }
 
     /// Log evidence for innovations that grow with the size.
@@ -420,6 +444,7 @@ fn judge_times(train: &Sensitivity, test: &Sensitivity, place: &str) -> Option<R
     let at = peak(low, high, |spread| train.log(spread, train.floor(spread)) - null);
     let density = densities(train, test, at.value);
     let value = Value { value: at.value, std: at.std, unit: "s".into() };
-    let notable = train.is_white() && at.value > NOTABLE * natural && density.with > density.without;
+    let large = at.value > NOTABLE * natural && !train.is_of_one_stretch(at.value);
+    let notable = train.is_white() && large && density.with > density.without;
     Some(found("jitter", place.into(), ("spread", value), -2.0 * at.log_evidence, notable, density))
 }

@@ -16,6 +16,12 @@ pub fn summary(report: &Report) -> String {
 
 fn found(report: &Report) -> String {
     let score = format::number(report.gap.score, 3);
+    if !report.gap.detected && report.gap.score > OFF {
+        return format!(
+            "No cause was found: the time that is fitted shows no gap, though after calibration the simulator predicts held-out time {} s ahead with an error of {score} times the sensor noise.",
+            format::number(report.how_far.horizon_s, 2)
+        );
+    }
     if !report.gap.detected {
         return format!(
             "No gap: after calibration the simulator predicts {} s ahead with an error of {score} times the sensor noise, and no effect improves on that.",
@@ -52,10 +58,16 @@ fn found(report: &Report) -> String {
         .collect();
     let this = if leader.effects.len() > 1 { "these" } else { "this" };
     let closed = report.how_far.closed_by_effect.value;
-    let closes = if closed > 0.0 {
-        format!("adding {this} closes {} % of it on held-out time", format::number(100.0 * closed, 3))
-    } else {
-        format!("but adding {this} closes nothing of it on held-out time")
+    let closes = match of_readings(report, &leader.effects) {
+        Some(Some(share)) => format!(
+            "no prediction can follow that, and knowing it gives {} % of what a free density gains on held-out readings",
+            format::number(100.0 * share, 3)
+        ),
+        Some(None) => "no prediction can follow that".to_owned(),
+        None if closed > 0.0 => {
+            format!("adding {this} closes {} % of it on held-out time", format::number(100.0 * closed, 3))
+        }
+        None => format!("but adding {this} closes nothing of it on held-out time"),
     };
     let unsure = if leader.probability < 0.9 {
         format!(" (probability {} %)", format::number(100.0 * leader.probability, 2))
@@ -78,8 +90,24 @@ fn found(report: &Report) -> String {
     format!("The gap lies at {causes}{unsure}; {closes}{rest}{others}.")
 }
 
+/// What the effect that gives least gives of the log predictive density of held-out readings, where all only change how readings
+/// scatter: with these no error gets smaller. Nothing within where there is nothing to be gained.
+fn of_readings(report: &Report, effects: &[FittedEffect]) -> Option<Option<f64>> {
+    let shares: Option<Vec<Option<f64>>> = effects
+        .iter()
+        .map(|effect| {
+            let scatters = Effect::from_name(&effect.name).is_some_and(Effect::statistical);
+            let found = report.readings.iter().find(|r| r.name == effect.name && r.place == effect.place)?;
+            (scatters && effect.place.starts_with("output:")).then_some(found.share)
+        })
+        .collect();
+    Some(shares?.into_iter().flatten().reduce(f64::min))
+}
+
 /// Places of which the sentence says what happens there; of more it only names the effects.
 const FEW: usize = 3;
+/// Error of predictions, in noise units, beyond which they are off whatever is said of the time that is fitted.
+const OFF: f64 = 1.5;
 /// Share of the gap beyond the best answer from which the sentence says so.
 const MUCH: f64 = 0.1;
 /// Error of predictions, over the noise floor, below which nothing is left to explain.
