@@ -90,7 +90,7 @@ pub enum OptionsError {
     )]
     Weight(String),
     /// A pattern that fits no effect of this system.
-    #[error("--{option} {pattern}: this system has no such effect{suggestion} (it has: {known})")]
+    #[error("--{option} {pattern}: this system has no such effect{suggestion} ({known})")]
     Nothing {
         /// Which option.
         option: &'static str,
@@ -98,7 +98,7 @@ pub enum OptionsError {
         pattern: String,
         /// What may have been meant.
         suggestion: Suggestion,
-        /// All effects at all places of the system.
+        /// What the system has of what was named.
         known: String,
     },
     /// Nothing is left to try.
@@ -140,6 +140,34 @@ fn kind(name: &str) -> Option<PlaceKind> {
 fn named(name: &str) -> Result<(), OptionsError> {
     let letter = |c: char| c.is_alphanumeric() || c == '_';
     if !name.is_empty() && name.chars().all(letter) { Ok(()) } else { Err(OptionsError::Form(name.into())) }
+}
+
+impl Pattern {
+    /// What a system has of what was named: the effects at that place, or the places of that effect; else all of its places.
+    fn nearby(&self, known: &[EffectAt]) -> String {
+        // Forms of an effect share its name, and effects a place.
+        let listed = |names: &mut dyn Iterator<Item = String>| {
+            let mut seen = BTreeSet::new();
+            names.filter(|name| seen.insert(name.clone())).collect::<Vec<_>>().join(", ")
+        };
+        if let Some((kind, key)) = &self.place {
+            let here = |at: &&EffectAt| {
+                at.place.kind == *kind && key.as_ref().is_none_or(|key| at.place.key == *key)
+            };
+            let names = listed(&mut known.iter().filter(here).map(|at| at.effect.name().to_owned()));
+            if !names.is_empty() {
+                return format!("it has there: {names}");
+            }
+        }
+        if let Some(name) = &self.effect {
+            let places = known.iter().filter(|at| at.effect.name() == name).map(|at| at.place.to_string());
+            let places = listed(&mut { places });
+            if !places.is_empty() {
+                return format!("it has {name} at: {places}");
+            }
+        }
+        format!("its places are: {}", listed(&mut known.iter().map(|at| at.place.to_string())))
+    }
 }
 
 impl FromStr for Prior {
@@ -230,10 +258,7 @@ impl Options {
             .chain(self.only.iter().map(|p| ("only", p)))
             .chain(priors)
             .chain(self.explain.iter().map(|p| ("explain", p)));
-        let mut labels: Vec<String> = known.iter().map(EffectAt::label).collect();
-        // Forms of an effect share a label.
-        let mut seen = BTreeSet::new();
-        labels.retain(|label| seen.insert(label.clone()));
+        let labels: Vec<String> = known.iter().map(EffectAt::label).collect();
         for (option, pattern) in patterns {
             if !known.iter().any(|at| pattern.fits(at)) {
                 let written = pattern.to_string();
@@ -244,7 +269,7 @@ impl Options {
                         known.iter().map(|at| at.effect.name()).chain(labels.iter().map(String::as_str)),
                     ),
                     pattern: written,
-                    known: labels.join(", "),
+                    known: pattern.nearby(known),
                 });
             }
         }
@@ -293,12 +318,23 @@ mod tests {
         assert!(said("").contains("names no effect"));
         let options = Options { only: vec![pattern("coulomb@joint:axes")], ..Options::default() };
         let error = options.check(&[at(Effect::Coulomb, "joint:axis")]).unwrap_err().to_string();
-        for part in ["--only", "coulomb@joint:axes", "did you mean `coulomb@joint:axis`"] {
+        for part in [
+            "--only",
+            "coulomb@joint:axes",
+            "did you mean `coulomb@joint:axis`",
+            "has coulomb at: joint:axis)",
+        ] {
             assert!(error.contains(part), "{error}");
         }
         let options = Options { exclude: vec![pattern("coulom")], ..Options::default() };
         let error = options.check(&[at(Effect::Coulomb, "joint:axis")]).unwrap_err().to_string();
-        assert!(error.contains("did you mean `coulomb`"), "{error}");
+        assert!(
+            error.contains("did you mean `coulomb`") && error.contains("places are: joint:axis"),
+            "{error}"
+        );
+        let options = Options { only: vec![pattern("delay@joint:axis")], ..Options::default() };
+        let error = options.check(&[at(Effect::Coulomb, "joint:axis")]).unwrap_err().to_string();
+        assert!(error.contains("it has there: coulomb"), "{error}");
     }
 
     #[test]

@@ -23,10 +23,15 @@ pub(super) struct Answer<'a> {
 impl Answer<'_> {
     /// `delay@input:goal + coulomb@joint:axis`, or `no gap`.
     pub(super) fn name(&self) -> String {
+        self.names().join(" + ")
+    }
+
+    /// The same, each effect by itself.
+    pub(super) fn names(&self) -> Vec<String> {
         if self.effects.is_empty() {
-            return self.word.to_owned();
+            return vec![self.word.to_owned()];
         }
-        self.effects.iter().map(name).collect::<Vec<_>>().join(" + ")
+        self.effects.iter().map(name).collect()
     }
 
     /// The fitted parameters of all effects: `delay 0.041 ± 0.001 s, …`.

@@ -73,12 +73,16 @@ pub fn figure(report: &Report, overlays: &[Overlay]) -> String {
 fn source(report: &Report) -> String {
     match report.recordings.as_slice() {
         [] => report.system.clone(),
+        [one] if *one == report.system => report.system.clone(),
         [one] => format!("{}; {one}", report.system),
         [first, rest @ ..] => format!("{}; {first} and {} more", report.system, rest.len()),
     }
 }
 
-/// Draws the answers from `top` on, as many as end above `bottom`; the first with its parameters, and with what it
+/// Lines of the first answer's parameters, at most, for each of its effects.
+const LINES: usize = 2;
+
+/// Draws the answers from `top` on, as many as end above `bottom`; the first with all of its effects, its parameters, and what it
 /// cannot be told apart from.
 fn draw_answers(pen: &mut Pen, answers: &[Answer<'_>], top: f64, bottom: f64) {
     pen.text("head", (RIGHT, top), Anchor::Start, "Which cause");
@@ -90,16 +94,21 @@ fn draw_answers(pen: &mut Pen, answers: &[Answer<'_>], top: f64, bottom: f64) {
         }
         let (weight, columns, class) =
             if i == 0 { ("strong", 30, "bar-after") } else { ("plain", 36, "bar-plain") };
-        pen.text(weight, (left, y), Anchor::Start, &format::clip(&answer.name(), columns));
-        let probability = draw::typeset(&format::probability(answer.probability));
-        pen.text("strong", (right, y), Anchor::End, &probability);
+        let names = if i == 0 { answer.names() } else { vec![answer.name()] };
+        for (line, name) in names.iter().enumerate() {
+            y += if line > 0 { 15.0 } else { 0.0 };
+            let more = if line + 1 < names.len() { " +" } else { "" };
+            let name = format!("{}{more}", format::clip(name, columns));
+            pen.text(weight, (left, y), Anchor::Start, &name);
+        }
+        pen.text("strong", (right, y), Anchor::End, &draw::typeset(&format::probability(answer.probability)));
         pen.rect("bar-track", (left, y + 5.0), (right - left, 6.0));
         let part = if answer.probability.is_finite() { answer.probability.clamp(0.0, 1.0) } else { 0.0 };
         pen.rect(class, (left, y + 5.0), ((right - left) * part, 6.0));
         y += 29.0;
         if i == 0 {
             let mut notes = packed(&answer.parameters(), 46);
-            notes.truncate(2);
+            notes.truncate(LINES * names.len());
             if !answer.alike.is_empty() {
                 notes.push(format!("or {}: alike in this data", answer.alike.join(", ")));
             }
