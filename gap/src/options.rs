@@ -160,8 +160,8 @@ impl Pattern {
             }
         }
         if let Some(name) = &self.effect {
-            let places = known.iter().filter(|at| at.effect.name() == name).map(|at| at.place.to_string());
-            let places = listed(&mut { places });
+            let of_it = known.iter().filter(|at| at.effect.name() == name);
+            let places = listed(&mut of_it.map(|at| at.place.to_string()));
             if !places.is_empty() {
                 return format!("it has {name} at: {places}");
             }
