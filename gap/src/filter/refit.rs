@@ -8,29 +8,34 @@ const STEPS: (f64, f64) = (1.5, 0.08);
 /// How much larger or smaller than its natural size, in units of the others', a state's process noise is taken to be.
 const WIDEST: f64 = 30.0;
 
-/// Ends where no step of any coordinate lowers the cost. `shift` takes a step along a coordinate, as far as bounds let it.
-fn descend<T: Clone + PartialEq>(
+/// Ends where no step of any coordinate lowers the cost. `shift` takes a step along a coordinate, as far as bounds let it. Where there
+/// are threads both directions are tried at once; the first that is lower is taken either way.
+fn descend<T: Clone + PartialEq + Send + Sync>(
     start: &T,
     coordinates: usize,
-    shift: impl Fn(&mut T, usize, f64),
-    cost_at: impl Fn(&T) -> f64,
+    shift: impl Fn(&mut T, usize, f64) + Sync,
+    cost_at: impl Fn(&T) -> f64 + Sync,
 ) -> T {
     let (mut best, mut cost) = (start.clone(), cost_at(start));
     let mut step = STEPS.0;
     while step > STEPS.1 {
         let mut improved = false;
         for coordinate in 0..coordinates {
-            for direction in [-1.0, 1.0] {
+            let towards = |direction: f64| {
                 let mut trial = best.clone();
                 shift(&mut trial, coordinate, direction * step);
-                if trial == best {
-                    continue;
-                }
-                let trial_cost = cost_at(&trial);
-                if trial_cost < cost {
-                    (best, cost, improved) = (trial, trial_cost, true);
-                    break;
-                }
+                let trial_cost = if trial == best { f64::INFINITY } else { cost_at(&trial) };
+                (trial_cost < cost).then_some((trial, trial_cost))
+            };
+            let found = if rayon::current_num_threads() > 1 {
+                let (down, up) = rayon::join(|| towards(-1.0), || towards(1.0));
+                down.or(up)
+            } else {
+                towards(-1.0).or_else(|| towards(1.0))
+            };
+            if let Some(found) = found {
+                (best, cost) = found;
+                improved = true;
             }
         }
         if !improved {

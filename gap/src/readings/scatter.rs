@@ -85,48 +85,9 @@ pub fn scatter(setup: &Setup, fit: &Fit) -> Vec<ReadingEffect> {
         };
         effects.extend(judge_times(&train, &test, &place));
     }
-    for (i, input) in system.inputs.iter().enumerate() {
-        let place = Place::new(PlaceKind::Input, input.name.clone()).to_string();
-        let Some(losses) = Kicks::new(setup, fit, &noise, i, f64::INFINITY) else { continue };
-        let period = losses.lateness();
-        // What is late by less than a reading's period has its own shape where commands come more rarely.
-        let short =
-            (period > setup.period).then(|| Kicks::new(setup, fit, &noise, i, setup.period)).flatten();
-        let delays = short.as_ref().unwrap_or(&losses);
-        let (late, lost) = (delays.late(MOST_PERIODS * period), losses.lost());
-        // A mean lateness is another effect.
-        let of_mean = (late.gain - late.log_evidence).max(0.0);
-        // Which of the two it is, the commands' own sizes say.
-        let times = late.log_evidence >= lost.gain - of_mean;
-        let exact = fit.shooting_error <= INEXACT;
-        // On held-out time, parameters that were fitted elsewhere leave errors that pass for late commands.
-        let trained = |stamp: f64| setup.train.iter().any(|s| (s.from..s.to).contains(&stamp));
-        let told = delays.part(trained).late(MOST_PERIODS * period).log_evidence.min(late.log_evidence);
-        let jitter = Judged {
-            name: "jitter",
-            parameter: "spread",
-            value: Value { value: late.spread, std: late.std, unit: "s".into() },
-            scale: late.spread / delays.lateness(),
-            evidence: -2.0 * told,
-            likelier: times,
-            certain: exact && told > CERTAIN,
-        };
-        let drops = Judged {
-            name: "drops",
-            parameter: "rate",
-            value: Value { value: lost.rate, std: (lost.rate / lost.of as f64).sqrt(), unit: String::new() },
-            // The variance grows with the rate.
-            scale: lost.rate.sqrt(),
-            evidence: -2.0 * (lost.gain - of_mean),
-            likelier: !times && (lost.otherwise.len() >= FEWEST || lost.rate >= RAREST),
-            certain: false,
-        };
-        // What wants to be larger than it can be is something else.
-        if late.spread < 0.95 * MOST_PERIODS * period {
-            effects.extend(jitter.against(of_commands(setup, delays), &place));
-        }
-        effects.extend(drops.against(of_commands(setup, &losses), &place));
-    }
+    let of_inputs: Vec<Vec<ReadingEffect>> =
+        (0..system.inputs.len()).into_par_iter().map(|input| at_input(setup, fit, &noise, input)).collect();
+    effects.extend(of_inputs.into_iter().flatten());
     let best = |all: &mut dyn Iterator<Item = &ReadingEffect>| all.map(|e| e.evidence).fold(0.0, f64::min);
     let strongest = best(&mut effects.iter());
     let here: Vec<f64> =
@@ -134,6 +95,51 @@ pub fn scatter(setup: &Setup, fit: &Fit) -> Vec<ReadingEffect> {
     for (effect, here) in effects.iter_mut().zip(here) {
         effect.significant &= effect.evidence <= here && effect.evidence < TRACE * strongest;
     }
+    effects
+}
+
+/// Commands of one input that come late by chance, or not at all.
+fn at_input(setup: &Setup, fit: &Fit, noise: &Noise, input: usize) -> Vec<ReadingEffect> {
+    let mut effects = Vec::new();
+    let place = Place::new(PlaceKind::Input, setup.equations.system().inputs[input].name.clone()).to_string();
+    let Some(losses) = Kicks::new(setup, fit, noise, input, f64::INFINITY) else { return Vec::new() };
+    let period = losses.lateness();
+    // What is late by less than a reading's period has its own shape where commands come more rarely.
+    let short = (period > setup.period).then(|| Kicks::new(setup, fit, noise, input, setup.period)).flatten();
+    let delays = short.as_ref().unwrap_or(&losses);
+    let (late, lost) = (delays.late(MOST_PERIODS * period), losses.lost());
+    // A mean lateness is another effect.
+    let of_mean = (late.gain - late.log_evidence).max(0.0);
+    // Which of the two it is, the commands' own sizes say.
+    let times = late.log_evidence >= lost.gain - of_mean;
+    let exact = fit.shooting_error <= INEXACT;
+    // On held-out time, parameters that were fitted elsewhere leave errors that pass for late commands.
+    let trained = |stamp: f64| setup.train.iter().any(|s| (s.from..s.to).contains(&stamp));
+    let told = delays.part(trained).late(MOST_PERIODS * period).log_evidence.min(late.log_evidence);
+    let jitter = Judged {
+        name: "jitter",
+        parameter: "spread",
+        value: Value { value: late.spread, std: late.std, unit: "s".into() },
+        scale: late.spread / delays.lateness(),
+        evidence: -2.0 * told,
+        likelier: times,
+        certain: exact && told > CERTAIN,
+    };
+    let drops = Judged {
+        name: "drops",
+        parameter: "rate",
+        value: Value { value: lost.rate, std: (lost.rate / lost.of as f64).sqrt(), unit: String::new() },
+        // The variance grows with the rate.
+        scale: lost.rate.sqrt(),
+        evidence: -2.0 * (lost.gain - of_mean),
+        likelier: !times && (lost.otherwise.len() >= FEWEST || lost.rate >= RAREST),
+        certain: false,
+    };
+    // What wants to be larger than it can be is something else.
+    if late.spread < 0.95 * MOST_PERIODS * period {
+        effects.extend(jitter.against(of_commands(setup, delays), &place));
+    }
+    effects.extend(drops.against(of_commands(setup, &losses), &place));
     effects
 }
 
