@@ -325,6 +325,7 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
 
     let named_one = (detected, detected && named);
     let mut causes = Models::new(setup, &null, &answers, &rows, named_one, acted.as_ref()).causes(&readings);
+    // Beside causes that only scatter, what closes little may do so because of them; what closes nothing is doubted there as well.
     let closes_nothing = how_far.closed_by_effect.value <= 0.0;
     if detected && named && acted.is_none() && (causes.is_empty() || closes_nothing) {
         answers.doubt(closed_of_what_can_be(setup, best, refitted, with_effect, options.seed));

@@ -2,6 +2,7 @@
 
 use crate::filter::{Noise, Uncertainty};
 use crate::innovation::{Segment, walk_plain};
+use crate::quantify;
 use crate::setup::Setup;
 use crate::simulator::{Prediction, Simulator, Transition};
 
@@ -15,32 +16,19 @@ struct Free {
 
 /// The mean squared error, in noise units squared, that predictions over the horizon on held-out time have where the model is exact.
 ///
-/// As in [`predict`](crate::quantify::predict), each starts from the state that a filter has; `noise` leads the walk. How well the filter
+/// As in [`predict`](quantify::predict), each starts from the state that a filter has; `noise` leads the walk. How well the filter
 /// of an exact model knows its state, and how that grows until a reading, has no process noise in it and no readings that are noisier
 /// than the system says.
 #[must_use]
 pub fn expected(setup: &Setup, simulator: &dyn Simulator, theta: &[f64], noise: &Noise) -> f64 {
     let (mut sum, mut count) = (0.0, 0_usize);
-    let (begin, _) = setup.experiment.span();
-    for segment in &setup.test {
-        let from = (segment.from - 2.0 * setup.horizon).max(begin);
-        let wide = Segment { from, ..segment.clone() };
-        for variance in variances(setup, simulator, (theta, noise), &wide, starts(setup, segment, from)) {
+    for (segment, starts) in quantify::starts(setup) {
+        for variance in variances(setup, simulator, (theta, noise), &segment, starts) {
             sum += 1.0 + variance;
             count += 1;
         }
     }
     if count == 0 { 1.0 } else { sum / count as f64 }
-}
-
-/// Where predictions of a segment start (s), which the filter enters at `from`: one after the other, so that every reading is
-/// predicted once.
-pub(crate) fn starts(setup: &Setup, segment: &Segment, from: f64) -> impl Iterator<Item = f64> {
-    // The filter needs readings before the first start, or it knows no speed.
-    let (horizon, end) = (setup.horizon, segment.to);
-    let first = segment.from.max(from + horizon);
-    std::iter::successors(Some(first), move |start| Some(start + horizon))
-        .take_while(move |start| start + 0.5 * horizon < end)
 }
 
 /// The variance of every reading that is predicted from one of the `starts`, but for its own noise, in noise units squared.

@@ -7,7 +7,6 @@ use parallax_model::plant::Plant;
 
 use crate::equations::EquationsSimulator;
 use crate::filter::Noise;
-use crate::floor;
 use crate::innovation::{Segment, walk};
 use crate::report::{Interval, Overlay, WORST_SHARE};
 use crate::setup::Setup;
@@ -55,15 +54,12 @@ impl Row {
 pub fn predict(setup: &Setup, simulator: &dyn Simulator, theta: &[f64], noise: &Noise) -> Row {
     let mut row = Row::default();
     let n = simulator.states();
-    let (begin, _) = setup.experiment.span();
     let mut transition = Transition::default();
     let mut prediction = Prediction::default();
-    for segment in &setup.test {
-        let from = (segment.from - 2.0 * setup.horizon).max(begin);
-        let wide = Segment { from, ..segment.clone() };
-        let pass = walk(simulator, std::slice::from_ref(&wide), &setup.noise, noise, theta);
+    for (segment, starts) in starts(setup) {
+        let pass = walk(simulator, std::slice::from_ref(&segment), &setup.noise, noise, theta);
         let mut run = simulator.run(theta);
-        for start in floor::starts(setup, segment, from) {
+        for start in starts {
             let end = (start + setup.horizon).min(segment.to);
             let Some(last) = pass.stamp.iter().rposition(|s| *s < start) else { break };
             let mut x = pass.state[last * n..(last + 1) * n].to_vec();
@@ -96,6 +92,21 @@ pub fn predict(setup: &Setup, simulator: &dyn Simulator, theta: &[f64], noise: &
         }
     }
     row
+}
+
+/// The held-out segments as the filter enters them, and where predictions of each start (s).
+pub(crate) fn starts(
+    setup: &Setup,
+) -> impl Iterator<Item = (Segment, impl Iterator<Item = f64> + use<>)> + '_ {
+    let (horizon, (begin, _)) = (setup.horizon, setup.experiment.span());
+    setup.test.iter().map(move |segment| {
+        let from = (segment.from - 2.0 * horizon).max(begin);
+        // The filter needs readings before the first start, or it knows no speed.
+        let (first, end) = (segment.from.max(from + horizon), segment.to);
+        let starts = std::iter::successors(Some(first), move |start| Some(start + horizon))
+            .take_while(move |start| start + 0.5 * horizon < end);
+        (Segment { from, ..segment.clone() }, starts)
+    })
 }
 
 /// Halves the integration step until that changes the nominal system's predictions by far less than the noise.

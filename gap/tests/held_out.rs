@@ -1,35 +1,28 @@
 //! Time that is held out: what happens in it alone, and what an exact model's predictions of it are off by.
 
+#[path = "support/rail.rs"]
+mod rail;
+
 use parallax_gap::diagnosis::{Options, diagnose_experiment};
 use parallax_gap::experiment::{Experiment, Held, Sample};
 use parallax_gap::report::Report;
 use parallax_gap::setup::Setup;
 use parallax_gap::{floor, library, quantify, search};
 use parallax_model::system::{Equations, System};
+use rail::SLIDE;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// A mass on a rail with friction whose position is read by three sensors and whose speed by one.
-const RAIL: &str = r#"
-format = 1
-name = "rail"
-[parameters]
-d = { value = 3.0, unit = "1/s", calibrate = [1.0, 9.0], std = 0.5 }
-[inputs]
-u = { signal = "push" }
-[state]
-q = { derivative = "v", initial = "left" }
-v = { derivative = "u - d*v" }
-[outputs]
-left = { value = "q", unit = "m", noise = 0.002 }
-right = { value = "q", unit = "m", noise = 0.002 }
-middle = { value = "q", unit = "m", noise = 0.002 }
+/// Sensors of the mass on the rail beside the first one.
+const MORE: &str = r#"
+left = { value = "q", unit = "m", noise = 0.0005 }
+right = { value = "q", unit = "m", noise = 0.0005 }
 speed = { value = "v", unit = "m/s", noise = 0.01 }
 "#;
 
 /// A log of 20 s; the sensor of the speed is off by `bump` there.
-fn rail(seed: u64, bump: impl Fn(f64) -> f64) -> (Equations, Experiment) {
+fn logged(seed: u64, bump: impl Fn(f64) -> f64) -> (Equations, Experiment) {
     const PERIOD: f64 = 0.02;
     let friction = 2.8;
     let mut random = ChaCha8Rng::seed_from_u64(seed);
@@ -39,7 +32,7 @@ fn rail(seed: u64, bump: impl Fn(f64) -> f64) -> (Equations, Experiment) {
     for k in 0..1000 {
         let t = PERIOD * f64::from(k);
         for output in 0..3 {
-            samples.push(Sample { stamp: t, output, value: q + 0.002 * normal() });
+            samples.push(Sample { stamp: t, output, value: q + 0.0005 * normal() });
         }
         samples.push(Sample { stamp: t, output: 3, value: v + bump(t) + 0.01 * normal() });
         let push = 1.5 * (1.9 * t).sin() + 1.2 * (5.3 * t + 1.0).sin() + 0.8 * (11.0 * t).cos();
@@ -57,12 +50,13 @@ fn rail(seed: u64, bump: impl Fn(f64) -> f64) -> (Equations, Experiment) {
         wraps: vec![None; 4],
         ..Experiment::default()
     };
-    let equations = System::parse(RAIL, "rail.toml").expect("valid").equations().expect("complete");
+    let equations =
+        System::parse(&format!("{SLIDE}{MORE}"), "rail.toml").expect("valid").equations().expect("complete");
     (equations, experiment)
 }
 
 fn diagnosed(seed: u64, bump: impl Fn(f64) -> f64) -> Report {
-    let (equations, experiment) = rail(seed, bump);
+    let (equations, experiment) = logged(seed, bump);
     diagnose_experiment(equations, experiment, "log", &Options::default(), &|_, _| {})
         .expect("a diagnosis")
         .report
@@ -84,7 +78,7 @@ fn what_happens_once_in_one_sensor_is_no_secret_of_the_time_held_out() {
 fn predictions_of_an_exact_model_are_off_by_what_is_expected() {
     let mut ratios = Vec::new();
     for seed in 0..12 {
-        let (equations, experiment) = rail(seed, |_| 0.0);
+        let (equations, experiment) = logged(seed, |_| 0.0);
         let setup = Setup::new(equations, experiment, Some(0.06));
         let null = search::null(&setup);
         let simulator = library::simulator(&setup, &null.hypothesis, Vec::new());

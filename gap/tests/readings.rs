@@ -1,5 +1,7 @@
 //! Effects on how readings scatter, repeat and are spaced: each is found by itself, and none where there is none.
 
+#[path = "support/rail.rs"]
+mod rail;
 mod support;
 
 use parallax_gap::diagnosis::{Options, diagnose_experiment};
@@ -9,6 +11,7 @@ use parallax_gap::report::Report;
 use parallax_gap::search;
 use parallax_gap::setup::Setup;
 use parallax_model::system::{Equations, System};
+use rail::SLIDE;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -282,21 +285,6 @@ fn lost_commands_are_named_and_the_rest_is_explained_by_what_arrived() {
     assert!((rate.value - 0.08).abs() < 2.0 * rate.std, "{rate:?}");
     assert!(found.how_far.closed_by_effect.value > 0.95, "{:?}", found.how_far);
 }
-
-/// A mass on a rail with friction, pushed by another force every 80 ms that acts up to `most` seconds late, read every 10 ms.
-const SLIDE: &str = r#"
-format = 1
-name = "slide"
-[parameters]
-d = { value = 3.0, unit = "1/s", calibrate = [1.0, 9.0], std = 0.5 }
-[inputs]
-u = { signal = "push" }
-[state]
-q = { derivative = "v", initial = "position" }
-v = { derivative = "u - d*v" }
-[outputs]
-position = { value = "q", unit = "m", noise = 0.0005 }
-"#;
 
 /// The log of a mass on that rail to which commands were sent and others acted, 30 s of it.
 fn slid(sent: Held, acted: &Held, mut random: ChaCha8Rng) -> (Equations, Experiment) {

@@ -9,7 +9,9 @@ pub struct Uncertainty {
     covariance: Vec<f64>,
     gain: Vec<f64>,
     scratch: Vec<f64>,
+    all: Vec<usize>,
     whole: Pattern,
+    quiet: Vec<f64>,
 }
 
 impl Uncertainty {
@@ -21,22 +23,21 @@ impl Uncertainty {
         for (i, std) in std.iter().enumerate() {
             covariance[i * n + i] = std * std;
         }
-        let whole = Pattern(vec![(0..n).collect(); n]);
-        Self { covariance, gain: vec![0.0; n], scratch: vec![0.0; 2 * n * n], whole }
+        let all: Vec<usize> = (0..n).collect();
+        let whole = Pattern(vec![all.clone(); n]);
+        let (zero, scratch) = (vec![0.0; n], vec![0.0; 2 * n * n]);
+        Self { covariance, gain: zero.clone(), scratch, all, whole, quiet: zero }
     }
 
     /// A step by its transition, without process noise.
     pub fn advance(&mut self, by_state: &[f64]) {
-        let quiet = vec![0.0; self.gain.len()];
-        propagate(&self.whole, by_state, 0.0, &quiet, &mut self.covariance, &mut self.scratch);
+        propagate(&self.whole, by_state, 0.0, &self.quiet, &mut self.covariance, &mut self.scratch);
     }
 
     /// A reading with gradient `h` and this `noise` (variance).
     pub fn read(&mut self, h: &[f64], noise: f64) {
-        let n = self.gain.len();
-        let seen: Vec<usize> = (0..n).collect();
-        let variance = innovate(&seen, h, noise, false, &self.covariance, &mut self.gain);
-        update(n, &self.gain, variance, false, &mut self.covariance);
+        let variance = innovate(&self.all, h, noise, false, &self.covariance, &mut self.gain);
+        update(self.all.len(), &self.gain, variance, false, &mut self.covariance);
     }
 
     /// The variance of a reading with gradient `h`, without its own noise: h P hᵀ.

@@ -59,14 +59,15 @@ fn found(report: &Report) -> String {
     let this = if leader.effects.len() > 1 { "these" } else { "this" };
     let closed = report.how_far.closed_by_effect.value;
     let closes = match of_readings(report, &leader.effects) {
+        // Readings that come late by chance are late on average, which a prediction can follow.
+        _ if closed > 0.0 => {
+            format!("adding {this} closes {} % of it on held-out time", format::number(100.0 * closed, 3))
+        }
         Some(Some(share)) => format!(
             "no prediction can follow that, and knowing it gives {} % of what a free density gains on held-out readings",
             format::number(100.0 * share, 3)
         ),
         Some(None) => "no prediction can follow that".to_owned(),
-        None if closed > 0.0 => {
-            format!("adding {this} closes {} % of it on held-out time", format::number(100.0 * closed, 3))
-        }
         None => format!("but adding {this} closes nothing of it on held-out time"),
     };
     let unsure = if leader.probability < 0.9 {

@@ -79,8 +79,9 @@ fn source(report: &Report) -> String {
     }
 }
 
-/// Lines of the first answer's parameters, at most, for each of its effects.
+/// Lines of the first answer's parameters for each of its effects, where there is room for them, and their height.
 const LINES: usize = 2;
+const LINE: f64 = 15.0;
 
 /// Draws the answers from `top` on, as many as end above `bottom`; the first with all of its effects, its parameters, and what it
 /// cannot be told apart from.
@@ -94,9 +95,9 @@ fn draw_answers(pen: &mut Pen, answers: &[Answer<'_>], top: f64, bottom: f64) {
         }
         let (weight, columns, class) =
             if i == 0 { ("strong", 30, "bar-after") } else { ("plain", 36, "bar-plain") };
-        let names = if i == 0 { answer.names() } else { vec![answer.name()] };
+        let names = if i == 0 { shortened(answer.names()) } else { vec![answer.name()] };
         for (line, name) in names.iter().enumerate() {
-            y += if line > 0 { 15.0 } else { 0.0 };
+            y += if line > 0 { LINE } else { 0.0 };
             let more = if line + 1 < names.len() { " +" } else { "" };
             let name = format!("{}{more}", format::clip(name, columns));
             pen.text(weight, (left, y), Anchor::Start, &name);
@@ -108,17 +109,30 @@ fn draw_answers(pen: &mut Pen, answers: &[Answer<'_>], top: f64, bottom: f64) {
         y += 29.0;
         if i == 0 {
             let mut notes = packed(&answer.parameters(), 46);
-            notes.truncate(LINES * names.len());
+            let room = ((bottom - y) / LINE).max(LINES as f64) as usize;
+            notes.truncate((LINES * names.len()).min(room));
             if !answer.alike.is_empty() {
                 notes.push(format!("or {}: alike in this data", answer.alike.join(", ")));
             }
             for note in &notes {
                 pen.text("small", (left, y - 4.0), Anchor::Start, &format::clip(note, 46));
-                y += 15.0;
+                y += LINE;
             }
             y += if notes.is_empty() { 0.0 } else { 3.0 };
         }
     }
+}
+
+/// Effects of the first answer that there is room for, and how many there are beyond.
+const NAMES: usize = 4;
+
+fn shortened(mut names: Vec<String>) -> Vec<String> {
+    if names.len() > NAMES {
+        let beyond = names.len() - (NAMES - 1);
+        names.truncate(NAMES - 1);
+        names.push(format!("{beyond} more"));
+    }
+    names
 }
 
 /// Parameters one after another, each whole on its line.

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use parallax_gap::closed_loop::{ClosedLoop, Controlled, LoopScore};
 use parallax_gap::explain::{Explanation, Fate, Worse};
 use parallax_gap::maps::{Bin, Map};
+use parallax_gap::readings::{LogDensity, ReadingEffect};
 use parallax_gap::report::{
     Absorbed, Calibration, Confusable, FittedEffect, Gap, HowFar, Interrupted, Interval, NotTestable,
     Overlay, Report, Split, Unexplained, Value, Where, Which, sentence,
@@ -140,6 +141,25 @@ pub(crate) fn two_effects() -> Report {
     report.which[0].class = vec!["delay@input:goal + coulomb@joint:shaft".to_owned()];
     let part = |effect: &str, share| Split { effect: effect.to_owned(), share };
     report.how_far.split = vec![part("delay@input:goal", 0.71), part("coulomb@joint:shaft", 0.2857)];
+    report.summary = sentence::summary(&report);
+    report
+}
+
+/// A reading in steps, which no prediction can follow.
+pub(crate) fn steps() -> Report {
+    let mut report = one_effect();
+    let found = effect("quantization", "output:angle", &[("step", 0.0073, 0.0001, "rad")]);
+    report.readings = vec![ReadingEffect {
+        name: found.name.clone(),
+        place: found.place.clone(),
+        parameters: found.parameters.clone(),
+        evidence: -4000.0,
+        significant: true,
+        log_density: LogDensity { without: -1.4, with: -0.3, best: -0.2 },
+        share: Some(0.917),
+    }];
+    report.which = vec![which(found, &["quantization@output:angle"], 0.94)];
+    report.how_far.closed_by_effect = interval(0.0, 0.0, 0.0);
     report.summary = sentence::summary(&report);
     report
 }

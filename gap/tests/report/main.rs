@@ -2,7 +2,7 @@
 
 mod cases;
 
-use parallax_gap::report::{Overlay, Report, html, svg, text};
+use parallax_gap::report::{Overlay, Report, html, sentence, svg, text};
 use proptest::prelude::*;
 use roxmltree::{Document, Node, ParsingOptions};
 
@@ -285,6 +285,50 @@ fn the_figure_stands_alone() {
     {
         assert!(shown.contains(text), "the figure does not show {text}");
     }
+}
+
+/// However many effects an answer has, they stay above the bars of how far they go.
+#[test]
+fn the_figures_answers_have_their_room() {
+    for count in [1, 2, 4, 5, 14] {
+        let mut report = cases::two_effects();
+        let effects = &mut report.which[0].effects;
+        *effects = effects.iter().cycle().take(count).cloned().collect();
+        report.which[0].class = (0..3).map(|k| format!("another answer {k}")).collect();
+        let svg = svg::figure(&report, &[cases::overlay()]);
+        let document = parse(&svg);
+        let texts: Vec<(&str, f64)> = document
+            .descendants()
+            .filter(|node| node.tag_name().name() == "text")
+            .filter_map(|node| Some((node.text()?, node.attribute("y")?.parse().ok()?)))
+            .collect();
+        let place = |head: &str| texts.iter().position(|(text, _)| text.starts_with(head)).expect("a head");
+        let (first, last) = (place("Which cause"), place("How far"));
+        let answers = &texts[first + 1..last];
+        assert!(answers.len() > 3, "{count}: {answers:?}");
+        let lowest = answers.iter().map(|(_, y)| *y).fold(0.0, f64::max);
+        assert!(lowest < texts[last].1 - 12.0, "{count}: {answers:?}, {:?}", texts[last]);
+    }
+}
+
+#[test]
+fn the_sentence_says_of_readings_what_they_give() {
+    let steps = cases::steps();
+    assert!(
+        steps.summary.contains("no prediction can follow that, and knowing it gives 91.7 %"),
+        "{}",
+        steps.summary
+    );
+    assert!(!steps.summary.contains("closes"), "{}", steps.summary);
+    let mut late = steps.clone();
+    late.how_far.closed_by_effect.value = 0.53;
+    let late = sentence::summary(&late);
+    assert!(late.contains("adding this closes 53 %"), "what can be closed is said: {late}");
+    let mut off = cases::no_gap();
+    assert!(sentence::summary(&off).starts_with("No gap"));
+    off.gap.score = 8.09;
+    let off = sentence::summary(&off);
+    assert!(off.starts_with("No cause was found") && off.contains("8.09 times"), "{off}");
 }
 
 #[test]
