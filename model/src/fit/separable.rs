@@ -21,8 +21,11 @@ pub struct Sums {
     pub square: f64,
 }
 
-/// A singular value below this share of the largest counts as zero.
+/// A singular value below this share of the largest counts as zero, whatever the sums are known to.
 const RANK: f64 = 1e-12;
+
+/// How many times the rounding of a number that of a sum is taken to be: of some hundreds to thousands that round to either side.
+const ROUNDED: f64 = 8.0;
 
 impl Sums {
     /// Of nothing yet, for `coefficients` of them.
@@ -42,10 +45,11 @@ impl Sums {
         self.square += y * y;
     }
 
-    /// The best coefficients, the smallest of them where several are equally good, and the sum of squares left over. Not
-    /// a number where the sums are not finite.
+    /// The best coefficients, the smallest of them where several are equally good, and the sum of squares left over, which is no
+    /// less than what rounding may have taken from it. `epsilon` is that of the numbers in which the sums were formed. Not a number
+    /// where the sums are not finite.
     #[must_use]
-    pub fn solve(&self) -> (Vec<f64>, f64) {
+    pub fn solve(&self, epsilon: f64) -> (Vec<f64>, f64) {
         let k = self.right.len();
         if k == 0 {
             return (Vec::new(), self.square);
@@ -62,14 +66,15 @@ impl Sums {
         });
         let scaled = DMatrix::from_fn(k, k, |i, j| gram[(i, j)] * scale[i] * scale[j]);
         let target = right.component_mul(&scale);
-        let coefficients = match well_conditioned(&scaled) {
+        let rank = RANK.max(ROUNDED * epsilon);
+        let coefficients = match well_conditioned(&scaled, (1e3 * RANK).max(10.0 * rank)) {
             Some(factor) => factor.solve(&target),
             None => {
                 let SymmetricEigen { eigenvectors, eigenvalues } = scaled.symmetric_eigen();
                 let largest = eigenvalues.max();
                 let mut along = eigenvectors.transpose() * target;
                 for (value, eigen) in along.iter_mut().zip(eigenvalues.iter()) {
-                    *value = if *eigen > RANK * largest { *value / eigen } else { 0.0 };
+                    *value = if *eigen > rank * largest { *value / eigen } else { 0.0 };
                 }
                 eigenvectors * along
             }
@@ -77,15 +82,22 @@ impl Sums {
         let coefficients = coefficients.component_mul(&scale);
         let explained =
             2.0 * coefficients.dot(&right) - (coefficients.transpose() * &gram * &coefficients)[0];
-        (coefficients.iter().copied().collect(), (self.square - explained).max(0.0))
+        // Large coefficients of columns that nearly depend on each other cancel: of a difference of large sums little is known.
+        let sizes = coefficients.abs();
+        let size = self.square + 2.0 * sizes.dot(&right.abs()) + (sizes.transpose() * gram.abs() * &sizes)[0];
+        let left = (self.square - explained).max(ROUNDED * epsilon * size);
+        (coefficients.iter().copied().collect(), left)
     }
 }
 
-/// A Cholesky factor, unless a pivot says that columns nearly depend on each other.
-fn well_conditioned(matrix: &DMatrix<f64>) -> Option<nalgebra::Cholesky<f64, nalgebra::Dyn>> {
+/// A Cholesky factor, unless a pivot squared says that columns nearly depend on each other.
+fn well_conditioned(
+    matrix: &DMatrix<f64>,
+    least_square: f64,
+) -> Option<nalgebra::Cholesky<f64, nalgebra::Dyn>> {
     let factor = matrix.clone().cholesky()?;
     let least = factor.l_dirty().diagonal().min();
-    (least * least > 1e3 * RANK).then_some(factor)
+    (least * least > least_square).then_some(factor)
 }
 
 /// Eliminates the last `linear` parameters of a Gauss–Newton model: the Schur complement. Where they are at their best, it

@@ -7,6 +7,8 @@ use parallax_model::node_model::{BlockStep, Directions, ErasedModel, Scratch};
 pub(crate) trait Number: InMemory + Send + Sync {
     /// How many environments a block holds.
     const LANES: usize;
+    /// How far apart the numbers around 1 are.
+    const EPSILON: f64 = f64::EPSILON;
     /// One environment's number.
     fn get(&self, lane: usize) -> f64;
     /// Changes one environment's number.
@@ -44,6 +46,7 @@ macro_rules! lanes {
     ($lanes:ident, $float:ty, $prepare:ident, $step:ident) => {
         impl Number for $lanes {
             const LANES: usize = $lanes::LANES;
+            const EPSILON: f64 = <$float>::EPSILON as f64;
             #[inline(always)]
             fn get(&self, lane: usize) -> f64 {
                 self[lane].into()

@@ -156,7 +156,7 @@ impl Evaluator<'_> {
                 }
             }
         }
-        let (mut coefficients, _) = sums.solve();
+        let (mut coefficients, _) = sums.solve(f64::EPSILON);
         output.uncentre(&mut coefficients);
         coefficients
     }

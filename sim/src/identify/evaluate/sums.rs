@@ -114,7 +114,8 @@ impl Evaluator<'_> {
                     }
                 }
                 total.square = square;
-                let (mut coefficients, left) = if k == 0 { (Vec::new(), squares) } else { total.solve() };
+                let (mut coefficients, left) =
+                    if k == 0 { (Vec::new(), squares) } else { total.solve(T::EPSILON) };
                 output.uncentre(&mut coefficients);
                 fit.coefficients.push(coefficients);
                 fit.squares.push(left);
