@@ -4,12 +4,15 @@
 //! value of an outer frame that an inner one uses becomes a capture: one more input of the inner function, which the
 //! structured operation in the outer frame provides.
 
+mod key;
+
 use std::cell::RefCell;
 use std::collections::{BTreeMap, HashMap};
 
-use crate::program::{Binary, Compare, Function, Op, Program, ProgramError, Unary, Value};
+use crate::program::{Compare, Function, Op, Program, ProgramError, Unary, Value};
 use crate::scalar::share;
 use crate::trace::{Known, Traced};
+use key::Key;
 
 thread_local! {
     static TRACER: RefCell<Tracer> = const { RefCell::new(Tracer::new()) };
@@ -33,63 +36,6 @@ enum Node {
         of: u32,
         index: u32,
     },
-}
-
-/// What makes two operations the same.
-#[derive(PartialEq, Eq, Hash)]
-enum Key {
-    Constant(u64),
-    Unary(Unary, Value),
-    Binary(Binary, Value, Value),
-    Powi(Value, i32),
-    Compare(Compare, Value, Value),
-    And(Value, Value),
-    Or(Value, Value),
-    Not(Value),
-    Select(Value, Value, Value),
-    /// Kind, function, length, and the lengths of the lists in front of the lists.
-    Structured(u8, u32, u32, Vec<Value>),
-}
-
-impl Key {
-    fn of(op: &Op) -> Self {
-        let ordered = |a: Value, b: Value| if a <= b { (a, b) } else { (b, a) };
-        match op {
-            Op::Constant(value) => Key::Constant(value.to_bits()),
-            Op::Unary(unary, a) => Key::Unary(*unary, *a),
-            // These commute exactly.
-            Op::Binary(binary @ (Binary::Add | Binary::Mul), a, b) => {
-                let (a, b) = ordered(*a, *b);
-                Key::Binary(*binary, a, b)
-            }
-            Op::Binary(binary, a, b) => Key::Binary(*binary, *a, *b),
-            Op::Powi(a, exponent) => Key::Powi(*a, *exponent),
-            Op::Compare(Compare::Eq, a, b) => {
-                let (a, b) = ordered(*a, *b);
-                Key::Compare(Compare::Eq, a, b)
-            }
-            Op::Compare(compare, a, b) => Key::Compare(*compare, *a, *b),
-            Op::And(a, b) => {
-                let (a, b) = ordered(*a, *b);
-                Key::And(a, b)
-            }
-            Op::Or(a, b) => {
-                let (a, b) = ordered(*a, *b);
-                Key::Or(a, b)
-            }
-            Op::Not(a) => Key::Not(*a),
-            Op::Select(mask, then, otherwise) => Key::Select(*mask, *then, *otherwise),
-            Op::Call { function, inputs } => Key::Structured(0, *function, 1, inputs.clone()),
-            Op::Scan { function, length, carry, xs, captures } => {
-                let sizes = [carry.len() as u32, xs.len() as u32];
-                Key::Structured(1, *function, *length, [&sizes[..], carry, xs, captures].concat())
-            }
-            Op::Map { function, length, xs, captures } => {
-                let sizes = [xs.len() as u32];
-                Key::Structured(2, *function, *length, [&sizes[..], xs, captures].concat())
-            }
-        }
-    }
 }
 
 /// A function under construction.

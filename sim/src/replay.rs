@@ -1,15 +1,21 @@
 //! Runs the nodes of a recording again, on exactly what they consumed.
 
+mod error;
+mod report;
+
 use std::collections::BTreeSet;
 use std::fmt;
 
 use parallax_runtime::data::DataSpace;
-use parallax_runtime::graph::{Graph, GraphError};
+use parallax_runtime::graph::Graph;
 use parallax_runtime::node::{ErasedNode, InputWindow, NodeContext, NodeError, Step};
 use parallax_runtime::recording::{Change, Fault, FaultKind, NodeTrack, Recording, StepRecord};
 use parallax_runtime::registry::Registry;
 use parallax_runtime::schedule::{ScheduleCheck, verify};
-use parallax_runtime::tuning::{TuningError, apply};
+use parallax_runtime::tuning::apply;
+
+pub use error::ReplayError;
+pub use report::{Difference, NodeReplay, ReplayReport};
 
 /// Builds a node in place of the one that the graph names; `None` leaves that node as it is.
 pub type Override = dyn Fn(&NodeContext) -> Option<Result<Box<dyn ErasedNode>, NodeError>>;
@@ -25,196 +31,6 @@ pub struct ReplayOptions {
 impl fmt::Debug for ReplayOptions {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("ReplayOptions").field("overrides", &self.overrides.is_some()).finish()
-    }
-}
-
-/// Why a recording cannot be replayed.
-#[derive(Debug, thiserror::Error)]
-pub enum ReplayError {
-    /// Its graph is not one that this program can run: most often it does not know a kind of node.
-    #[error("the recorded graph cannot be run: {0}")]
-    Graph(#[from] GraphError),
-    /// It lacks a node of its own graph.
-    #[error("the recording has no track of node `{node}`, which its graph names; record the run again")]
-    MissingNode {
-        /// The node.
-        node: String,
-    },
-    /// Its messages have another layout than the kind of node has in this program.
-    #[error(
-        "node `{node}` sent {recorded}, but its kind sends {known} in this program; replay with the program that recorded"
-    )]
-    Layout {
-        /// The node.
-        node: String,
-        /// The recorded layout.
-        recorded: String,
-        /// The layout of the kind.
-        known: String,
-    },
-    /// A step consumed a message that the recording does not hold.
-    #[error(
-        "step {step} of node `{node}` consumed message {seq} of `{from}`, which the recording does not hold"
-    )]
-    MissingMessage {
-        /// The receiver.
-        node: String,
-        /// Its step.
-        step: u64,
-        /// The sender.
-        from: String,
-        /// The message.
-        seq: u64,
-    },
-    /// A step's output is not in the recording.
-    #[error("node `{node}` made step {step}, but the recording does not hold the message that it sent")]
-    MissingOutput {
-        /// The node.
-        node: String,
-        /// Its step.
-        step: u64,
-    },
-    /// Steps are not recorded in order, from 0, without holes.
-    #[error(
-        "node `{node}`: step {found} is recorded where step {expected} belongs: the recorder could not keep up and lost the steps between, or the file is damaged; record again on a machine with less load"
-    )]
-    StepOrder {
-        /// The node.
-        node: String,
-        /// The step that belongs there.
-        expected: u64,
-        /// The step that is there.
-        found: u64,
-    },
-    /// A step's inputs are not those of its kind of node.
-    #[error("step {step} of node `{node}` has the inputs {found}, but its kind has {expected}")]
-    Inputs {
-        /// The node.
-        node: String,
-        /// Its step.
-        step: u64,
-        /// The recorded inputs.
-        found: String,
-        /// The inputs of the kind.
-        expected: String,
-    },
-    /// A message has another number of leaves than its layout.
-    #[error(
-        "message {seq} of node `{node}` has {found} leaves, but its layout has {expected}; the recording is damaged"
-    )]
-    Payload {
-        /// The sender.
-        node: String,
-        /// The message.
-        seq: u64,
-        /// How many there are.
-        found: usize,
-        /// How many there should be.
-        expected: usize,
-    },
-    /// A node could not be built.
-    #[error("node `{node}` cannot be built: {source}")]
-    Build {
-        /// The node.
-        node: String,
-        /// Why.
-        source: NodeError,
-    },
-    /// A node does not take what was set in it while it was recorded.
-    #[error("before step {step}: {source}")]
-    Change {
-        /// The step.
-        step: u64,
-        /// Why.
-        source: TuningError,
-    },
-    /// A step that was recorded fails now.
-    #[error("step {step} of node `{node}` fails in the replay, but did not in the recording: {source}")]
-    Failed {
-        /// The node.
-        node: String,
-        /// Its step.
-        step: u64,
-        /// Why.
-        source: NodeError,
-    },
-}
-
-/// An output that is not the recorded one.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Difference {
-    /// The node.
-    pub node: String,
-    /// Its step.
-    pub seq: u64,
-    /// The leaf.
-    pub leaf: String,
-    /// The recorded value.
-    pub recorded: f64,
-    /// The replayed value.
-    pub replayed: f64,
-}
-
-impl fmt::Display for Difference {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { node, seq, leaf, recorded, replayed } = self;
-        write!(f, "step {seq} of node `{node}`: {leaf} is {replayed:?}, recorded was {recorded:?}")
-    }
-}
-
-/// What the replay of one node found.
-#[derive(Debug, Clone, PartialEq)]
-pub struct NodeReplay {
-    /// The node.
-    pub name: String,
-    /// Whether its messages were taken from the recording: it stands in for hardware, or does not promise equal bits.
-    pub injected: bool,
-    /// Steps that ran again; 0 when injected.
-    pub steps: u64,
-    /// Recorded messages that its steps consumed, each counted once per step that saw it.
-    pub consumed: u64,
-    /// Steps whose output was not the recorded one, bit for bit.
-    pub differing: u64,
-    /// The first of them.
-    pub first_difference: Option<Difference>,
-    /// Whether its recorded schedule follows the rules.
-    pub schedule: ScheduleCheck,
-}
-
-/// What a replay found.
-#[derive(Debug, Clone, PartialEq)]
-pub struct ReplayReport {
-    /// Every node, in the order of the graph.
-    pub nodes: Vec<NodeReplay>,
-    /// Steps at the end of a cut recording that could not be replayed, because what they consumed or sent lies beyond
-    /// the cut. Always 0 for a whole recording.
-    pub beyond_cut: u64,
-}
-
-impl ReplayReport {
-    /// Steps that ran again.
-    pub fn steps(&self) -> u64 {
-        self.nodes.iter().map(|node| node.steps).sum()
-    }
-
-    /// Messages that were consumed again.
-    pub fn consumed(&self) -> u64 {
-        self.nodes.iter().map(|node| node.consumed).sum()
-    }
-
-    /// The nodes whose messages were taken from the recording.
-    pub fn injected(&self) -> impl Iterator<Item = &str> {
-        self.nodes.iter().filter(|node| node.injected).map(|node| node.name.as_str())
-    }
-
-    /// The first difference of the node that comes first in the graph.
-    pub fn first_difference(&self) -> Option<&Difference> {
-        self.nodes.iter().find_map(|node| node.first_difference.as_ref())
-    }
-
-    /// Whether every output was the recorded one, bit for bit, and every recorded step follows the rules.
-    pub fn is_exact(&self) -> bool {
-        self.nodes.iter().all(|node| node.differing == 0 && node.schedule.deviation.is_none())
     }
 }
 

@@ -7,6 +7,7 @@
 //! ([`gaussian`]), shares of nothing or everything by variational inference (spike and slab: Carbonetto & Stephens 2012).
 
 mod gaussian;
+mod lossy;
 
 use rayon::prelude::*;
 
@@ -20,6 +21,7 @@ use crate::setup::Setup;
 use crate::statistics::median;
 
 pub(super) use gaussian::Late;
+pub(super) use lossy::Lost;
 
 /// Runs in which every command is held once, at most.
 const RUNS: f64 = 32.0;
@@ -32,15 +34,6 @@ const LEAST_CHANGE: f64 = 0.05;
 
 /// Share of the unit below which a command that could not have been later tells nothing of lateness.
 const LEAST_LATE: f64 = 0.02;
-
-/// Sweeps of the variational inference, at most.
-const SWEEPS: usize = 60;
-
-/// Change of a probability that ends the sweeps.
-const SETTLED: f64 = 1e-4;
-
-/// Share of commands that is lost, where the inference begins.
-const FIRST_RATE: f64 = 0.05;
 
 /// A command whose value differs from the one before.
 #[derive(Clone, Debug)]
@@ -78,19 +71,6 @@ pub(super) struct Kicks {
     along: Vec<f64>,
     /// ⟨response k, response k + d⟩ for each k and d.
     gram: Vec<Vec<f64>>,
-}
-
-/// What the innovations say of commands that are lost.
-#[derive(Clone, Debug)]
-pub(super) struct Lost {
-    /// Share of commands that is lost.
-    pub(super) rate: f64,
-    /// Commands of which the opposite of what is believed is likelier, by their index: that they are lost, or arrived.
-    pub(super) otherwise: Vec<usize>,
-    /// A lower bound of the log likelihood, less what stating the losses costs, against what is believed.
-    pub(super) gain: f64,
-    /// Commands whose loss would show.
-    pub(super) of: usize,
 }
 
 impl Kicks {
@@ -308,50 +288,6 @@ impl Kicks {
         n * (self.energy / n).ln()
     }
 
-    /// Commands of which some are lost: one p for each, that the opposite of what is believed is true, in a factorised
-    /// posterior.
-    pub(super) fn lost(&self) -> Lost {
-        let n = self.readings as f64;
-        let count = self.kicks.len() as f64;
-        let is_lost = |(kick, p): (&Kick, &f64)| if kick.held { 1.0 - p } else { *p };
-        let rate_of =
-            |p: &[f64]| (self.kicks.iter().zip(p).map(is_lost).sum::<f64>() / count).clamp(0.5 / count, 0.9);
-        let mut variance = self.energy / n;
-        let mut p = vec![FIRST_RATE; self.kicks.len()];
-        let mut rate = rate_of(&p);
-        // What the probabilities of the others leave along each response.
-        let mut along = self.by_gram(&p);
-        for _ in 0..SWEEPS {
-            let mut moved: f64 = 0.0;
-            let odds = (rate / (1.0 - rate)).ln();
-            for k in 0..p.len() {
-                let own = self.gram[k][0];
-                let left = self.along[k] - along[k] + own * p[k];
-                let odds = if self.kicks[k].held { -odds } else { odds };
-                let fresh = 1.0 / (1.0 + (-(odds + (left - 0.5 * own) / variance)).exp());
-                let change = fresh - p[k];
-                if change != 0.0 {
-                    self.shift(&mut along, k, change);
-                    p[k] = fresh;
-                    moved = moved.max(change.abs());
-                }
-            }
-            rate = rate_of(&p);
-            variance = self.left(&p, &along) / n;
-            if moved < SETTLED {
-                break;
-            }
-        }
-        let entropy = |p: f64| if p > 0.0 { -p * p.ln() } else { 0.0 };
-        let given = |p: f64| p * rate.ln() + (1.0 - p) * (1.0 - rate).ln() + entropy(p) + entropy(1.0 - p);
-        let stated: f64 = self.kicks.iter().zip(&p).map(is_lost).map(given).sum();
-        let gain = -0.5 * n * variance.ln() + stated + 0.5 * self.in_time()
-            // What is paid for the rate.
-            - 0.5 * count.ln();
-        let likelier = self.kicks.iter().zip(&p).filter(|(_, p)| **p > 0.5);
-        Lost { rate, otherwise: likelier.map(|(kick, _)| kick.command).collect(), gain, of: p.len() }
-    }
-
     /// Adds `change` times the k-th column of G.
     fn shift(&self, along: &mut [f64], k: usize, change: f64) {
         for (d, g) in self.gram[k].iter().enumerate() {
@@ -366,12 +302,6 @@ impl Kicks {
 
     fn width(&self) -> usize {
         self.gram.iter().map(Vec::len).max().unwrap_or(0)
-    }
-
-    /// The expected squared innovations that shares of these probabilities leave; `along` is G p.
-    fn left(&self, p: &[f64], along: &[f64]) -> f64 {
-        let doubt: f64 = p.iter().zip(&self.gram).map(|(p, row)| p * (1.0 - p) * row[0]).sum();
-        (self.energy - 2.0 * dot(p, &self.along) + dot(p, along) + doubt).max(1e-9 * self.energy)
     }
 }
 

@@ -31,21 +31,25 @@
 //! # }
 //! ```
 
+mod endpoint;
 pub(crate) mod futex;
 mod populate;
-mod port;
+mod publisher;
 mod space;
 mod stale;
+mod subscriber;
 mod wake;
 
 use std::io;
 use std::path::PathBuf;
 
-pub use port::{Endpoint, Loan, Publisher, Service, Subscriber, View};
+pub use endpoint::{Endpoint, Service};
+pub use publisher::{Loan, Publisher};
 pub use space::Space;
 pub(crate) use space::free_bytes;
 pub use stale::clean_stale;
 pub(crate) use stale::{live_directories, stale_runs};
+pub use subscriber::{Subscriber, View};
 pub use wake::{Listener, Waker};
 
 /// What the two ends of a channel must agree on.

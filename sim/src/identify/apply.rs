@@ -7,8 +7,8 @@ use parallax_runtime::registry::{NodeKind, Registry};
 use serde_json::{Map, Value};
 
 use super::coordinate::Sort;
+use super::identified::{Estimate, Hump, Identified};
 use super::location::parameter;
-use super::outcome::{Estimate, Hump, Identified};
 use super::problem::Problem;
 use crate::batch::Place;
 

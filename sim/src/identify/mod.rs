@@ -23,6 +23,7 @@ mod coordinate;
 mod error;
 mod evaluate;
 mod humps;
+mod identified;
 mod location;
 mod outcome;
 mod problem;
@@ -45,8 +46,8 @@ pub use combination::Combination;
 pub use coordinate::Sort;
 pub use error::IdentifyError;
 pub use evaluate::Evaluator;
+pub use identified::{Estimate, Hump, Humps, Identified, Known, Reconstruction, Score, Series};
 pub use location::{Location, Moment};
-pub use outcome::{Estimate, Hump, Humps, Identified, Known, Reconstruction, Score, Series};
 pub use problem::Problem;
 pub use spec::{
     HiddenDelay, Output, Prior, Scatter, Simulated, Specification, Target, Term, Transform, Unknown,
