@@ -1,5 +1,6 @@
 //! Fits by innovation likelihood: the filter, its noise re-estimated, under one hypothesis.
 
+use std::cell::Cell;
 use std::sync::Arc;
 
 use crate::filter::{Noise, Pass, Start, filter};
@@ -193,14 +194,14 @@ pub fn fit(
     let mut last: Option<(Vec<f64>, Pass)> = None;
     // A start may be worse than where the noise is known from; after a step it is not.
     let near = matches!(known, Known::Near(_));
-    let mut begun = !near;
-    let minimum = minimise(&hypothesis.fitted, start, iterations, |theta, accepted| {
+    let begun = Cell::new(!near);
+    let mut loss = |theta: &[f64], accepted: bool| {
         let known = last.take().filter(|(at, _)| at == theta);
         let mut pass = match known {
             Some((_, pass)) => pass,
             None => walk(simulator, segments, model, &noise, theta),
         };
-        if accepted && std::mem::replace(&mut begun, true) {
+        if accepted && begun.replace(true) {
             let better = better_noise(&pass, &noise, &excess);
             if better != noise {
                 let again = walk(simulator, segments, model, &better, theta);
@@ -220,7 +221,12 @@ pub fn fit(
         pass.accumulate(&mut local.information, &mut local.gradient);
         last = Some((theta.to_vec(), pass));
         local
-    });
+    };
+    let mut minimum = minimise(&hypothesis.fitted, start, iterations, &mut loss);
+    // A start from which no step leads on has the other hypothesis's noise still.
+    if iterations > 0 && !begun.replace(true) {
+        minimum = minimise(&hypothesis.fitted, &minimum.theta, iterations, &mut loss);
+    }
     let pass = match last.filter(|(at, _)| *at == minimum.theta) {
         Some((_, pass)) => pass,
         None => walk(simulator, segments, model, &noise, &minimum.theta),
