@@ -1,6 +1,6 @@
 //! A hypothesis: which effects act where, and which parameters are fitted under it.
 
-use parallax_model::effect::{Effect, Place};
+use parallax_model::effect::{Effect, Place, Quantity};
 
 /// An effect at a place.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -129,6 +129,18 @@ pub struct Hypothesis {
 }
 
 impl Hypothesis {
+    /// The entries of θ that are limits of a level, at whose null nothing reaches them.
+    pub(crate) fn limits(&self) -> impl Iterator<Item = usize> {
+        let is_limit = |f: &Fitted| match f.slot {
+            Slot::Effect { effect, parameter } => {
+                let spec = &self.effects[effect].effect.parameters()[parameter];
+                matches!(spec.quantity, Quantity::Low | Quantity::High)
+            }
+            _ => false,
+        };
+        (0..self.fitted.len()).filter(move |k| is_limit(&self.fitted[*k]))
+    }
+
     /// `delay@input:u + coulomb@joint:axis`, or `no effect`.
     #[must_use]
     pub fn label(&self) -> String {

@@ -4,7 +4,7 @@ use std::cell::Cell;
 use std::sync::Arc;
 
 use crate::filter::{Noise, Pass, Start, filter};
-use crate::fit::{Local, Minimum, minimise};
+use crate::fit::{Local, Minimum, minimise, prior_cost};
 use crate::guess::Guess;
 use crate::hypothesis::Hypothesis;
 use crate::shooting::{lateness, locate};
@@ -73,6 +73,11 @@ pub const SETTLING_READINGS: usize = 8;
 /// How many times that pass before readings count: a hypothesis with a state of its own must not pay for what is not
 /// known of it in every stretch.
 const SETTLED: usize = 4;
+
+/// Standard deviations from where it has no effect within which a limit may be one that nothing has reached, and the loss of −2 log
+/// likelihood up to which it is: then it has none on what it is asked for later, either.
+const UNREACHED: f64 = 3.0;
+const SAME: f64 = 0.1;
 
 /// Cuts segments into stretches that can be walked side by side. A filter forgets where it began; the first readings of
 /// each stretch, which the one before it has counted already, tell it the state.
@@ -226,6 +231,19 @@ pub fn fit(
     // A start from which no step leads on has the other hypothesis's noise still.
     if iterations > 0 && !begun.replace(true) {
         minimum = minimise(&hypothesis.fitted, &minimum.theta, iterations, &mut loss);
+    }
+    for limit in hypothesis.limits() {
+        let null = hypothesis.fitted[limit].null;
+        let away = (minimum.theta[limit] - null).abs() / minimum.std()[limit];
+        if away == 0.0 || away > UNREACHED {
+            continue;
+        }
+        let mut out_of_the_way = minimum.theta.clone();
+        out_of_the_way[limit] = null;
+        let cost = loss(&out_of_the_way, false).cost + prior_cost(&hypothesis.fitted, &out_of_the_way);
+        if cost < minimum.cost + SAME {
+            minimum = minimise(&hypothesis.fitted, &out_of_the_way, 0, &mut loss);
+        }
     }
     let pass = match last.filter(|(at, _)| *at == minimum.theta) {
         Some((_, pass)) => pass,

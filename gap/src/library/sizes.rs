@@ -187,6 +187,9 @@ fn fastest(setup: &Setup, input: usize) -> (f64, f64) {
     (top, rates.iter().copied().fold(top, f64::max))
 }
 
+/// Turns that a phase may go either way.
+const ROUND: f64 = 20.0;
+
 /// How long a slow machine takes for the whole range of a command (s).
 const SLOW: f64 = 5.0;
 
@@ -236,6 +239,8 @@ fn joint(setup: &Setup, index: usize, effect: Effect, quantity: Quantity, fitted
         }
         Q::Phase => {
             fitted.prior = Prior::Uniform { low: -PI, high: PI };
+            // A search may go round some times while it finds the wave's length.
+            (fitted.low, fitted.high) = (-ROUND * TAU, ROUND * TAU);
             (fitted.scale, fitted.starts) = (0.3, vec![0.0]);
         }
         Q::Inertia => sized(fitted, 0.3 * scale.inertia, &[0.0, 0.5]),
