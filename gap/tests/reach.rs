@@ -70,6 +70,9 @@ fn a_limit_that_nothing_reached_does_not_clip_what_comes_later() {
     assert!(report.how_far.closed_by_effect.value > 0.95, "{}", report.summary);
     let high = best.effects[0].parameters["high"].value;
     assert!((high - 1.1).abs() < 0.02, "{high}");
+    let lowest = (0..1000).map(|k| push(0.02 * f64::from(k))).fold(0.0, f64::min);
+    let low = best.effects[0].parameters["low"].value;
+    assert!(low < 0.999 * lowest, "{low} clips a push of {lowest}");
 }
 
 #[test]

@@ -107,8 +107,7 @@ impl Kernel for Likelihood<'_> {
                             for &j in seen {
                                 sum += by_p[i.max(j) * n + i.min(j)] * h[j];
                             }
-                            // A lane without a stretch may hold anything, even what is no number.
-                            *by_gain = Scalar::select(rests, zero, sum);
+                            *by_gain = sum;
                         }
                         let mut of_innovation = zero;
                         for &i in seen {
@@ -135,13 +134,13 @@ impl Kernel for Likelihood<'_> {
                     let ignored = <F64x16 as InMemory>::load::<S>(weighs).eq(zero);
                     let square = innovation * innovation * inverse;
                     cost += Scalar::select(ignored, zero, square + variance.ln());
+                    // A lane without a stretch may hold anything, even what is no number and no weight of zero takes away.
                     for k in 0..m {
                         let half = by_variance[k] * (zero + 1.0 - square) * 0.5;
                         let slope = (innovation * by_innovation[k] + half) * inverse;
                         gradient[k] += Scalar::select(ignored, zero, slope);
-                        let of_innovation = Scalar::select(ignored, zero, by_innovation[k] * inverse);
-                        let of_variance =
-                            Scalar::select(ignored, zero, by_variance[k] * inverse * inverse * 0.5);
+                        let (of_innovation, of_variance) =
+                            (by_innovation[k] * inverse, by_variance[k] * inverse * inverse * 0.5);
                         for j in 0..=k {
                             let product = of_innovation * by_innovation[j] + of_variance * by_variance[j];
                             information[k * m + j] += Scalar::select(ignored, zero, product);

@@ -10,9 +10,7 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
 use super::publisher::Publisher;
 use super::subscriber::Subscriber;
-use super::{ChannelError, LOANED, Listener, Space, Topic, Waker};
-
-pub(super) type Ipc = ipc::Service;
+use super::{ChannelError, Ipc, LOANED, Listener, Space, Topic, Waker, failed};
 
 /// Attribute of a service under which the layout's hash stands.
 const LAYOUT: &str = "parallax.layout";
@@ -30,11 +28,6 @@ pub struct Endpoint {
 pub struct Service {
     factory: PortFactory<Ipc, [u64], ()>,
     topic: Topic,
-}
-
-/// A transport error with the channel's name and what was tried.
-pub(super) fn failed(topic: &str, what: &'static str) -> impl Fn(&dyn Debug) -> ChannelError {
-    move |detail| ChannelError::Transport { topic: topic.into(), what, detail: format!("{detail:?}") }
 }
 
 fn service_name(topic: &str) -> Result<ServiceName, ChannelError> {

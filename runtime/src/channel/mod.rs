@@ -40,6 +40,7 @@ mod stale;
 mod subscriber;
 mod wake;
 
+use std::fmt::Debug;
 use std::io;
 use std::path::PathBuf;
 
@@ -51,6 +52,9 @@ pub use stale::clean_stale;
 pub(crate) use stale::{live_directories, stale_runs};
 pub use subscriber::{Subscriber, View};
 pub use wake::{Listener, Waker};
+
+/// The kind of iceoryx2's service that everything here is one of.
+type Ipc = iceoryx2::service::ipc::Service;
 
 /// What the two ends of a channel must agree on.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -166,4 +170,9 @@ pub enum ChannelError {
         /// What iceoryx2 says.
         detail: String,
     },
+}
+
+/// A transport error with the channel's name and what was tried.
+fn failed(topic: &str, what: &'static str) -> impl Fn(&dyn Debug) -> ChannelError {
+    move |detail| ChannelError::Transport { topic: topic.into(), what, detail: format!("{detail:?}") }
 }

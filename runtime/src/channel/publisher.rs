@@ -8,8 +8,7 @@ use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
-use super::endpoint::{Ipc, failed};
-use super::{ChannelError, Topic};
+use super::{ChannelError, Ipc, Topic, failed};
 
 /// The sending end of a channel.
 #[derive(Debug)]

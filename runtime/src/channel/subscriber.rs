@@ -10,8 +10,7 @@ use std::thread::ThreadId;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
 
-use super::endpoint::{Ipc, failed};
-use super::{ChannelError, Topic};
+use super::{ChannelError, Ipc, Topic, failed};
 
 /// The receiving end of a channel.
 #[derive(Debug)]
