@@ -62,8 +62,8 @@ fn shaken(t: f64) -> f64 {
 
 #[test]
 fn a_limit_that_nothing_reached_does_not_clip_what_comes_later() {
-    // Only at the end, where nothing is fitted, the push goes far down.
-    let push = |t: f64| if t < 15.0 { shaken(t).max(-1.0) } else { 2.5 * shaken(t) };
+    // Only at the end, where nothing is fitted, the push goes further down.
+    let push = |t: f64| shaken(t).max(if t < 15.0 { -1.0 } else { -1.2 });
     let report = diagnosed(0.0, push, |_, u| u.min(1.1));
     let best = &report.which[0];
     assert_eq!(labelled(best), "saturation@input:u", "{}", report.summary);
