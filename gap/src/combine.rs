@@ -6,6 +6,7 @@ mod shorten;
 
 use std::cell::OnceCell;
 
+use parallax_model::effect::Effect;
 use rayon::prelude::*;
 
 use crate::hypothesis::EffectAt;
@@ -55,7 +56,8 @@ pub fn combinations(setup: &Setup, null: &Fit, fits: &[Fit], forms: &[EffectAt],
     let pool = fits.iter().filter_map(|alone| {
         Some(Candidate { at: alone.hypothesis.effects.first()?, alone, helps: helps(alone) })
     });
-    let pool = pool.collect();
+    let mut pool: Vec<Candidate<'_>> = pool.collect();
+    pool.extend(other_sides(&pool, forms));
     let mut combine = Combine { setup, null, fits, forms, pool, judge: *judge };
     let Beginnings { first, further } = combine.beginnings();
     let mut found: Vec<Fit> = Vec::new();
@@ -102,6 +104,16 @@ pub fn combinations(setup: &Setup, null: &Fit, fits: &[Fit], forms: &[EffectAt],
         found.extend(singles);
     }
     found
+}
+
+/// The stops on the other side of a joint than those that explain most alone: either may be there.
+fn other_sides<'a>(pool: &[Candidate<'a>], forms: &'a [EffectAt]) -> Vec<Candidate<'a>> {
+    let is_stop = |at: &&EffectAt| matches!(at.effect, Effect::EndStop | Effect::EndStopLower);
+    let others = forms.iter().filter(is_stop).filter_map(|at| {
+        let known = pool.iter().find(|own| own.at.place == at.place && is_stop(&own.at) && own.at != at)?;
+        Some(Candidate { at, alone: known.alone, helps: false })
+    });
+    others.collect()
 }
 
 /// The forms that have fewer parameters than those that explain most, fitted again from there, as long as one of theirs is to

@@ -41,7 +41,7 @@ use crate::unknown;
 use causes::Models;
 pub use error::DiagnosisError;
 pub(crate) use prepare::prepare;
-use screen::{chosen, outgrown, screen};
+use screen::{chosen, limits_of_its_sensor, outgrown, screen};
 
 /// What comes out: the report, what its plots need, and what a corrected system needs.
 #[derive(Clone, Debug)]
@@ -184,10 +184,15 @@ fn weigh_all(
 
     let done = std::sync::atomic::AtomicUsize::new(0);
     let promising = combine::by_promise(&setup, &null, &nuisance, &candidates, &columns);
-    let fits = search::singles(&setup, &null, &promising, &|label| {
+    let mut fits = search::singles(&setup, &null, &promising, &|label| {
         let k = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
         progress(0.05 + 0.45 * k as f64 / candidates.len() as f64, label);
     });
+    if let Some(limits) =
+        limits_of_its_sensor(&setup, &fits, &mut not_testable).filter(|_| !setup.stop.asked())
+    {
+        fits.extend(search::singles(&setup, &null, &[limits], &|_| ()));
+    }
     if fits.is_empty() && setup.stop.asked() {
         return Err(DiagnosisError::Stopped);
     }

@@ -8,12 +8,14 @@ mod table;
 
 use std::sync::{Arc, OnceLock};
 
+use parallax_model::Dual;
 use parallax_model::effect::PlaceKind;
 use parallax_model::lanes::F64x16;
 use parallax_model::plant::Plant;
 use parallax_model::program::Program;
 use parallax_model::system::Point;
 
+use crate::commands;
 use crate::experiment::Experiment;
 use crate::hypothesis::Slot;
 use crate::machine::{Drive, Field, Layout, Machine};
@@ -120,6 +122,28 @@ impl<'a> EquationsSimulator<'a> {
     pub fn with_extra_std(mut self, std: Vec<f64>) -> Self {
         self.extra_std = std;
         self
+    }
+
+    /// The stamp of the command of one input that is in force after each event at θ (s). Nothing where an effect with a memory
+    /// spreads each command over those that follow.
+    #[must_use]
+    pub fn in_force(&self, theta: &[f64], input: usize) -> Option<Vec<f64>> {
+        let mut effects = self.plant.effects_at(PlaceKind::Input, input).into_iter();
+        if effects.any(|bound| bound.effect.has_memory()) {
+            return None;
+        }
+        let mut extra = self.plant.extra_values();
+        let nominal = self.plant.equations().nominal().len();
+        for (slot, value) in self.slots.iter().zip(theta) {
+            if let Some(at) = position(&self.plant, slot).checked_sub(nominal) {
+                extra[at] = *value;
+            }
+        }
+        let variables: Vec<Dual<0>> = extra.iter().copied().map(Dual::from_value).collect();
+        let changes = commands::changes(&self.plant, self.experiment, self.step, &variables, input);
+        let table = table::<0>(self, theta, &extra);
+        let held = table.current.chunks(self.experiment.inputs.len());
+        Some(held.map(|current| changes[current[input] as usize].stamp).collect())
     }
 
     fn walk<'b>(&'b self, theta: &[f64], full: bool) -> Box<dyn Run + 'b> {

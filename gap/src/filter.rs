@@ -9,6 +9,7 @@
 //!
 //! Stretches of the log are walked side by side, one on each lane.
 
+mod chain;
 mod lanes;
 mod likelihood;
 mod mend;
@@ -23,6 +24,8 @@ use parallax_model::lanes::{F64x16, Level};
 
 use crate::lockstep::{self, Lockstep, Stretch};
 use crate::simulator::{Gradient, LANES, Motion, Run, wrapped};
+use chain::Probe;
+pub(crate) use chain::{Chain, Link};
 use lanes::{Covariance, Pattern, Read};
 use likelihood::Likelihood;
 pub use uncertainty::Uncertainty;
@@ -131,9 +134,29 @@ pub fn filter(
 ) -> Pass {
     let mut pass = Pass { states, parameters, ..Pass::default() };
     for group in starts.chunks(LANES) {
-        walk_group(run, group, scale, noise, &mut pass);
+        walk_group(run, group, scale, noise, &mut pass, None);
     }
     pass
+}
+
+/// What small deviations from the filter's walk over each of the stretches become, and what the commands of `other`, a run of the
+/// same events, would add to them.
+pub(crate) fn chains(
+    run: &mut dyn Run,
+    other: &mut dyn Run,
+    starts: &[Start],
+    states: usize,
+    scale: &[f64],
+    noise: &Noise,
+) -> Vec<Chain> {
+    let mut found = Vec::with_capacity(starts.len());
+    for group in starts.chunks(LANES) {
+        let mut probe = Probe::new(other, states, group.len());
+        let mut pass = Pass { states, ..Pass::default() };
+        walk_group(run, group, scale, noise, &mut pass, Some(&mut probe));
+        found.extend(probe.chains);
+    }
+    found
 }
 
 /// What one lane found, in the order of its readings.
@@ -189,7 +212,14 @@ impl Found {
     }
 }
 
-fn walk_group(run: &mut dyn Run, group: &[Start], scale: &[f64], noise: &Noise, pass: &mut Pass) {
+fn walk_group(
+    run: &mut dyn Run,
+    group: &[Start],
+    scale: &[f64],
+    noise: &Noise,
+    pass: &mut Pass,
+    mut probe: Option<&mut Probe<'_>>,
+) {
     let (n, p) = (pass.states, pass.parameters);
     let zero = F64x16::splat(0.0);
     let intensity = intensities(scale, noise, n);
@@ -223,6 +253,9 @@ fn walk_group(run: &mut dyn Run, group: &[Start], scale: &[f64], noise: &Noise, 
     while let Some(tick) = lanes.next(run) {
         if let lockstep::Tick::Read(reads) = tick {
             let value = run.compare_lanes(&reads, &motion, &mut row);
+            if let Some(probe) = &mut probe {
+                probe.compare(&reads, &motion, &value);
+            }
             let (mut innovation, mut noise, mut active, mut weighs) = (zero, zero, zero, zero);
             let mut output = [NOTHING; LANES];
             for (lane, start) in group.iter().enumerate() {
@@ -265,6 +298,9 @@ fn walk_group(run: &mut dyn Run, group: &[Start], scale: &[f64], noise: &Noise, 
                 found.event.push(index);
                 found.state.extend(motion.x.iter().map(|x| x[lane]));
             }
+            if let Some(probe) = &mut probe {
+                probe.read(&reads, run.events(), (&row.by[..n], &gain), (&innovation, &spread));
+            }
             let by_state = tape.numbers.len();
             tape.numbers.extend_from_slice(&row.by[..n]);
             tape.numbers.extend_from_slice(&gain);
@@ -276,7 +312,13 @@ fn walk_group(run: &mut dyn Run, group: &[Start], scale: &[f64], noise: &Noise, 
                 let Some(index) = *index else { continue };
                 dt[lane] = run.events()[index + 1].time - run.events()[index].time;
             }
+            if let Some(probe) = &mut probe {
+                probe.advance(&steps, &motion);
+            }
             run.advance_lanes(&steps, &mut motion);
+            if let Some(probe) = &mut probe {
+                probe.advanced(&steps, &motion);
+            }
             let by_state = tape.numbers.len();
             for i in 0..n {
                 tape.numbers.extend_from_slice(&motion.by[i * (n + p)..i * (n + p) + n]);

@@ -146,10 +146,16 @@ fn stuck_readings_are_found_and_left_out() {
                     samples[k].value = samples[k - 1].value;
                 }
             }
+            // At the end nothing comes after it.
+            let last = samples.len() - 5;
+            let value = samples[last].value;
+            samples[last..].iter_mut().for_each(|sample| sample.value = value);
         });
         is_alone(&experiment, true, "stuck@output:angle", "rate", 0.06);
         let (_, left_out) = cleaned(&equations(true), &experiment);
         assert!(left_out.iter().all(|s| s.why == Suspicion::Stuck));
+        let last = left_out.iter().map(|s| s.sample).max();
+        assert!(step > 0.0 || last == Some(experiment.samples.len() - 1), "{last:?}");
         // In slow motion a repeat on a lattice proves nothing, and harms nothing.
         let least = if step > 0.0 { 60 } else { 150 };
         assert!(left_out.len() > least, "{}", left_out.len());

@@ -25,7 +25,7 @@ const OUTWEIGHS: f64 = 5.0;
 const MOST: f64 = 0.9;
 
 /// Share of a noise that must be left beside times that scatter for it to be a cause of its own.
-const OWN_NOISE: f64 = 0.5;
+const OWN_NOISE: f64 = 0.6;
 
 /// Share of the squared error on held-out time that a residual must leave for the rest to count as chance.
 const CHANCE: f64 = 0.5;
@@ -111,6 +111,7 @@ impl<'a> Models<'a> {
                 && !self.clipped(r)
                 && !self.of_times(r, readings)
                 && !self.of_form(r)
+                && !self.of_rounding(r, readings)
                 && self.acted.is_none_or(|acted| acted.effect.place != r.place)
                 && !readings::is_trace(r, readings)
         });
@@ -141,6 +142,16 @@ impl<'a> Models<'a> {
         effects.iter().any(|at| at.effect == Effect::SensorSaturation && at.place.to_string() == r.place)
     }
 
+    /// A reading that is rounded errs most where it moves, as one whose times scatter: what such times explain is more than what
+    /// rounding leaves, or that.
+    fn of_rounding(&self, r: &ReadingEffect, readings: &[ReadingEffect]) -> bool {
+        let on_lattice = |e: &ReadingEffect| e.significant && e.name == "quantization" && e.place == r.place;
+        let outputs = self.setup.equations.system().outputs.len() as f64;
+        // Of one output, whose noise contains its rounding.
+        let off = || readings::over_readings(self.setup, r).map_or(0.0, |off| off * outputs);
+        r.name == "jitter" && readings.iter().any(on_lattice) && off() < 1.0
+    }
+
     /// Times that scatter look like noise to those who do not know how fast the reading moves.
     fn of_times(&self, r: &ReadingEffect, readings: &[ReadingEffect]) -> bool {
         let outputs = &self.setup.equations.system().outputs;
@@ -151,7 +162,8 @@ impl<'a> Models<'a> {
         let declared = outputs[output].noise.unwrap_or(f64::INFINITY);
         let alleged = r.parameters.get("std").map_or(0.0, |std| std.value);
         let least = declared.hypot(OWN_NOISE * alleged);
-        readings::noise_beside(self.setup, self.shown, output, spread).is_some_and(|std| std < least)
+        let beside = readings::noise_beside(self.setup, self.shown, output, spread);
+        beside.is_some_and(|std| std < least)
     }
 
     /// Whether the named answer holds what these times are late by on average.

@@ -26,6 +26,25 @@ pub(super) fn outgrown(setup: &Setup, null: &Fit) -> Vec<EffectAt> {
         .collect()
 }
 
+/// The limits of the sensor that shows a state whose own limits explain most: readings that hardly reach those of a sensor rest
+/// nowhere that the eye can see, and only a fit tells the one from the other.
+pub(super) fn limits_of_its_sensor(
+    setup: &Setup,
+    fits: &[Fit],
+    not_testable: &mut Vec<library::NotTestable>,
+) -> Option<EffectAt> {
+    let best =
+        fits.iter().min_by(|a, b| a.innovation.evidence_cost.total_cmp(&b.innovation.evidence_cost))?;
+    let clipped = best.hypothesis.effects.iter().find(|at| at.effect == Effect::Saturation)?;
+    let system = setup.equations.system();
+    let output = system.shown_as(&clipped.place.key).filter(|_| clipped.place.kind == PlaceKind::State)?;
+    let place = Place::new(PlaceKind::Output, system.outputs[output].name.clone());
+    let own = EffectAt { effect: Effect::SensorSaturation, place };
+    let rested = not_testable.iter().position(|n| n.effect == own && n.reason == library::RESTS_NOWHERE)?;
+    not_testable.remove(rested);
+    Some(own)
+}
+
 /// The effects that the user lets be tried; the others are listed as not tested.
 pub(super) fn chosen(
     candidates: Vec<EffectAt>,

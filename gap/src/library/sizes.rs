@@ -13,6 +13,9 @@ use crate::setup::{JointScale, Range, Setup};
 /// Waves over the range of a joint, at least, for a force to be said to repeat: less of one is an arc, as any spring has.
 const LEAST_WAVES: f64 = 1.0;
 
+/// Readings of a contact with a hard stop.
+const CONTACT: f64 = 4.0;
+
 /// The entry of θ for one parameter of an effect at the place of this index.
 pub(super) fn fitted(
     setup: &Setup,
@@ -279,10 +282,13 @@ fn joint(setup: &Setup, index: usize, effect: Effect, quantity: Quantity, fitted
             flat(fitted, low, high, starts.to_vec());
         }
         Q::StopStiffness => {
-            // A stop may be as stiff as an integration step can follow.
+            // A stop may be as stiff as an integration step can follow, and as soft as what drives the joint. One that is hit is left
+            // within some readings, π √(J/k).
             let stiffest = scale.inertia / (setup.step * setup.step);
-            let size = (20.0 * force / width).min(0.5 * stiffest);
-            sized(fitted, size, &[0.2]);
+            let soft = (20.0 * force / width).min(0.5 * stiffest);
+            let hard = (scale.inertia * (PI / (CONTACT * setup.period)).powi(2)).min(0.5 * stiffest);
+            let size = soft.max(hard);
+            sized(fitted, size, &[0.2 * soft / size, 0.2 * hard / size]);
             fitted.high = stiffest;
         }
         Q::AirSpeed => sized(fitted, speed, &[0.0]),

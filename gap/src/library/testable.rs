@@ -78,6 +78,9 @@ fn input(setup: &Setup, effect: Effect, index: usize) -> Result<(), String> {
     }
 }
 
+/// Why the limits of a sensor are not tested whose readings show none.
+pub(crate) const RESTS_NOWHERE: &str = "its readings rest at no limit";
+
 fn output(setup: &Setup, effect: Effect, index: usize) -> Result<(), String> {
     let range = &setup.output_range[index];
     match effect {
@@ -87,7 +90,7 @@ fn output(setup: &Setup, effect: Effect, index: usize) -> Result<(), String> {
             need(setup.experiment.wraps[index].is_none(), "the reading turns around, and has no limits")?;
             let (_, readings) = setup.experiment.output(index);
             let rests = |upper| readings::limit(&readings, setup.output_noise[index], upper).level.is_some();
-            need(rests(false) || rests(true), "its readings rest at no limit")
+            need(rests(false) || rests(true), RESTS_NOWHERE)
         }
         Effect::SensorLag | Effect::SensorLagSecondOrder => {
             let system = setup.equations.system();

@@ -3,11 +3,9 @@
 //!
 //! A command that is lost leaves all of that difference, one that is late a share of it, and one that arrives in time
 //! none. The shares that the innovations show tell lost commands from late ones, which their variance alone does not.
-//! Responses of commands that follow each other overlap, so that all shares are judged together: Gaussian shares exactly
-//! ([`gaussian`]), shares of nothing or everything by variational inference (spike and slab: Carbonetto & Stephens 2012).
+//! Responses of commands that follow each other overlap, so that all shares are judged together ([`gaussian`]).
 
 mod gaussian;
-mod lossy;
 
 use rayon::prelude::*;
 
@@ -21,7 +19,6 @@ use crate::setup::Setup;
 use crate::statistics::median;
 
 pub(super) use gaussian::Late;
-pub(super) use lossy::Lost;
 
 /// Runs in which every command is held once, at most.
 const RUNS: f64 = 32.0;
@@ -40,16 +37,13 @@ const LEAST_LATE: f64 = 0.02;
 struct Kick {
     /// Its index among the commands.
     command: usize,
-    /// Whether it is believed lost already: its kick is what its arrival would change.
-    held: bool,
     /// By how much the value differs.
     change: f64,
     /// By how much it was late (s).
     late: f64,
     /// Index of the first reading after it, in the order of their stamps.
     first: usize,
-    /// What holding the command before it, or not holding it any more, adds to each whitened innovation from there on, with
-    /// the sign reversed.
+    /// What holding the command before it adds to each whitened innovation from there on, with the sign reversed.
     response: Vec<f64>,
 }
 
@@ -79,18 +73,6 @@ impl Kicks {
     ///
     /// Nothing where the commands hardly change.
     pub(super) fn new(setup: &Setup, fit: &Fit, noise: &Noise, input: usize, late: f64) -> Option<Self> {
-        Self::beside(setup, fit, noise, (input, &setup.experiment.inputs[input]), late)
-    }
-
-    /// The same where the setup holds what is believed to have acted, and other commands were `sent`: one that is believed lost
-    /// may have arrived.
-    pub(super) fn beside(
-        setup: &Setup,
-        fit: &Fit,
-        noise: &Noise,
-        (input, sent): (usize, &Held),
-        late: f64,
-    ) -> Option<Self> {
         let all: Vec<Segment> = setup.train.iter().chain(&setup.test).cloned().collect();
         let walked = |setup: &Setup| {
             let simulator = library::simulator(setup, &fit.hypothesis, fit.residuals.clone());
@@ -98,10 +80,8 @@ impl Kicks {
         };
         let plain = walked(setup);
         let held = &setup.experiment.inputs[input];
-        let is_held = |k: usize| held.values[k] != sent.values[k];
-        // The value in force if the opposite of what is believed is true.
-        let opposite = |k: usize| if is_held(k) { sent.values[k] } else { held.values[k - 1] };
-        let changes: Vec<usize> = (1..held.values.len()).filter(|&k| held.values[k] != opposite(k)).collect();
+        let changes: Vec<usize> =
+            (1..held.values.len()).filter(|&k| held.values[k] != held.values[k - 1]).collect();
         let mut between: Vec<f64> = changes.windows(2).map(|c| held.times[c[1]] - held.times[c[0]]).collect();
         if between.len() < 10 {
             return None;
@@ -122,10 +102,7 @@ impl Kicks {
                     if lateness(k) < until_next(k) {
                         other.times[k] += lateness(k);
                     } else {
-                        // It stays in force over those that are believed lost after it.
-                        let end =
-                            (k + 1..held.values.len()).find(|j| !is_held(*j)).unwrap_or(held.values.len());
-                        other.values[k..end].fill(opposite(k));
+                        other.values[k] = held.values[k - 1];
                     }
                 }
                 let other = walked(&disturbed);
@@ -140,8 +117,7 @@ impl Kicks {
                         let response = order[first..end].iter().map(change).collect();
                         Kick {
                             command: k,
-                            held: is_held(k),
-                            change: held.values[k] - opposite(k),
+                            change: held.values[k] - held.values[k - 1],
                             late: lateness(k),
                             first,
                             response,
@@ -243,6 +219,11 @@ impl Kicks {
         part
     }
 
+    /// What each share takes off the innovations' squares, to first order.
+    pub(super) fn explained(&self, shares: &[f64]) -> Vec<f64> {
+        self.along.iter().zip(shares).map(|(along, share)| along * share).collect()
+    }
+
     /// The commands, by their index.
     pub(super) fn commands(&self) -> Vec<usize> {
         self.kicks.iter().map(|kick| kick.command).collect()
@@ -287,22 +268,6 @@ impl Kicks {
         let n = self.readings as f64;
         n * (self.energy / n).ln()
     }
-
-    /// Adds `change` times the k-th column of G.
-    fn shift(&self, along: &mut [f64], k: usize, change: f64) {
-        for (d, g) in self.gram[k].iter().enumerate() {
-            along[k + d] += change * g;
-        }
-        for before in (0..k).rev().take(self.width()) {
-            if let Some(g) = self.gram[before].get(k - before) {
-                along[before] += change * g;
-            }
-        }
-    }
-
-    fn width(&self) -> usize {
-        self.gram.iter().map(Vec::len).max().unwrap_or(0)
-    }
 }
 
 /// Deals the changes to runs, so that within each no two come closer than `memory` (s).
@@ -342,7 +307,7 @@ mod tests {
             for (e, r) in innovations[k..].iter_mut().zip(&response) {
                 *e += share * r;
             }
-            kicks.push(Kick { command: k + 1, held: false, change: 1.0, late: 0.01, first: k, response });
+            kicks.push(Kick { command: k + 1, change: 1.0, late: 0.01, first: k, response });
         }
         let along = kicks.iter().map(|k| dot(&k.response, &innovations[k.first..])).collect();
         let gram = (0..count)
@@ -368,15 +333,9 @@ mod tests {
     }
 
     #[test]
-    fn lost_commands_are_told_from_late_ones_and_from_none() {
-        let lossy = kicks(|random| f64::from(u8::from(random.random_bool(0.06))), 6.0);
-        let (lost, late) = (lossy.lost(), lossy.late(0.05));
-        assert!(lost.gain > late.gain + 20.0, "{} against {}", lost.gain, late.gain);
-        assert!((lost.rate - 0.06).abs() < 0.03, "{}", lost.rate);
-
+    fn times_that_scatter_are_told_from_none() {
         let tardy = kicks(|random| random.random_range(0.0..0.6), 3.0);
-        let (lost, late) = (tardy.lost(), tardy.late(0.05));
-        assert!(late.gain > lost.gain + 20.0, "{} against {}", late.gain, lost.gain);
+        let late = tardy.late(0.05);
         // Evenly over six tenths of a period of 10 ms.
         let spread = 0.01 * 0.6 / 12.0_f64.sqrt();
         assert!((late.spread / spread - 1.0).abs() < 0.3, "{} against {spread}", late.spread);
@@ -403,23 +362,7 @@ mod tests {
         assert!(gain(&punctual, &late) < 10.0 && gain(&tardy, &tardy.late(0.05)) > 2000.0);
         let half = tardy.part(|stamp| stamp < 2.0);
         assert!((half.late(0.05).spread / again.spread - 1.0).abs() < 0.2);
-        assert!(punctual.lost().gain < 3.0 && punctual.late(0.05).log_evidence < 1.0);
-    }
-
-    #[test]
-    fn a_command_that_was_believed_lost_and_arrived_is_taken_back() {
-        let believed = |arrived: &[usize]| {
-            let mut at = 0..400;
-            let of = |k: usize| f64::from(u8::from(arrived.contains(&k)));
-            let mut kicks = kicks(|_| of(at.next().expect("one for each")), 100.0);
-            kicks.kicks.iter_mut().step_by(20).for_each(|kick| kick.held = true);
-            kicks.lost()
-        };
-        let right = believed(&[]);
-        assert!(right.otherwise.is_empty() && right.gain <= 0.0, "{right:?}");
-        assert!((right.rate - 0.05).abs() < 0.01, "{right:?}");
-        let wrong = believed(&[100, 240]);
-        assert!(wrong.otherwise == [101, 241] && wrong.gain > 10.0, "{wrong:?}");
+        assert!(punctual.late(0.05).log_evidence < 1.0);
     }
 
     #[test]
@@ -427,6 +370,5 @@ mod tests {
         let delayed = kicks(|_| 0.5, 3.0);
         let late = delayed.late(0.05);
         assert!(late.log_evidence < 2.0 && late.gain > 50.0, "{late:?}");
-        assert!(delayed.lost().gain < late.gain - 10.0);
     }
 }

@@ -10,6 +10,7 @@ use super::acted::{Acted, TOLD, refitted};
 use super::found;
 use super::kicks::{Kicks, Late};
 use super::scatter::{self, MOST_PERIODS};
+use super::still::come_at_rest;
 use crate::experiment::Held;
 use crate::hypothesis::{EffectAt, Slot};
 use crate::library;
@@ -29,6 +30,9 @@ const LEFT: f64 = 0.05;
 /// first of it is known.
 const WORTH_A_LOOK: f64 = 2.0;
 
+/// Share of what times explain together that the most telling of them do.
+const MOST: f64 = 0.5;
+
 /// Messages do not overtake each other: the least time between two (s).
 const APART: f64 = 1e-9;
 
@@ -38,12 +42,29 @@ struct Look {
     /// The commands that it speaks of, by their index, and by how much each was late, in units.
     commands: Vec<usize>,
     shares: Vec<f64>,
+    /// What each of these explains of the innovations.
+    explained: Vec<f64>,
     late: Late,
     /// −2 log likelihood on the time that is fitted: of commands that scatter so, and of innovations as they are.
     scattered: f64,
     plain: f64,
     /// Log likelihood against that of commands whose changes are exchanged.
     own: f64,
+}
+
+impl Look {
+    /// The commands that say most of it.
+    fn telling(&self) -> Vec<usize> {
+        let mut order: Vec<usize> = (0..self.commands.len()).collect();
+        order.sort_by(|a, b| self.explained[*b].total_cmp(&self.explained[*a]));
+        let mut left = MOST * self.explained.iter().filter(|e| **e > 0.0).sum::<f64>();
+        let says = |k: &usize| {
+            let more = left > 0.0;
+            left -= self.explained[*k];
+            more
+        };
+        order.into_iter().take_while(says).map(|k| self.commands[k]).collect()
+    }
 }
 
 /// The times at which the commands of one input acted under a hypothesis.
@@ -90,7 +111,9 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
     }
     let (cost, error, clean, last) = best?;
     let told = -0.5 * (cost - base.innovation.evidence_cost);
-    if told.min(last.own) < TOLD {
+    let stamps = |commands: &[usize]| commands.iter().map(|k| recorded.times[*k]).collect::<Vec<f64>>();
+    let (telling, all) = (stamps(&last.telling()), stamps(&last.commands));
+    if told.min(last.own) < TOLD || come_at_rest(setup, base, &telling, &all) {
         return None;
     }
     let value = Value { value: last.late.spread, std: last.late.std, unit: "s".into() };
@@ -132,11 +155,12 @@ fn look(
     let all = kicks.with(&already);
     let late = all.late(most);
     let shares = all.shares(&late)?;
+    let explained = all.explained(&shares);
     let own = late.gain - all.exchanged().late(most).gain;
     let trained = |stamp: f64| clean.train.iter().any(|s| (s.from..s.to).contains(&stamp));
     let part = kicks.part(trained);
     let (scattered, plain) = (part.scattered(&already, &late), part.plain());
-    Some(Look { commands, shares, late, scattered, plain, own })
+    Some(Look { commands, shares, explained, late, scattered, plain, own })
 }
 
 /// The commands at the times that the look found, in their order.

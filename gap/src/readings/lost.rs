@@ -8,14 +8,19 @@
 use parallax_model::effect::Place;
 
 use super::acted::{Acted, TOLD, refitted};
+use super::beam::{Beam, FIRST_RATE, Losses};
 use super::found;
-use super::kicks::{Kicks, Lost};
 use super::scatter;
+use super::still::come_at_rest;
 use crate::experiment::Held;
-use crate::filter::Noise;
+use crate::filter::{self, Noise, Start};
+use crate::library;
 use crate::report::Value;
 use crate::search::{Fit, INEXACT};
 use crate::setup::Setup;
+use crate::shooting::{lateness, locate};
+use crate::simulator::Simulator;
+use crate::statistics::root_mean_square;
 
 /// Steps by which the process noise is lowered, the size of one in the logarithm of its variance, and looks at each.
 const STEPS: usize = 7;
@@ -40,61 +45,53 @@ const MOST: f64 = 0.4;
 pub(super) const FEWEST: usize = 3;
 pub(super) const RAREST: f64 = 0.01;
 
+/// Share of a typical change of the command below which one tells nothing of what such changes do.
+const LEAST_CHANGE: f64 = 0.05;
+
+/// Mean square of the share of lost commands that acted after all from which they were not lost: that of shares which are anything
+/// that is nearer to none than to all.
+const PARTLY: f64 = 1.0 / 12.0;
+
 /// Commands of one input, as they were sent and as they are believed to have acted.
 struct Believed<'a> {
     clean: Setup,
     input: usize,
     sent: &'a Held,
+    /// Share of the commands that is believed lost.
+    rate: f64,
+}
+
+/// What was found under one fit to what is believed.
+struct Round {
+    cost: f64,
+    error: f64,
+    rate: f64,
+    acted: Held,
+}
+
+/// What the innovations of a fitted model say of the losses at one input, where it can be losses of few.
+pub(super) fn look(setup: &Setup, fit: &Fit, noise: &Noise, input: usize) -> Option<Losses> {
+    Believed::nothing(setup, input).look(fit, noise)
 }
 
 /// The losses at one input under a hypothesis, and −2 log evidence with them.
 pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> Option<Acted> {
-    let mut believed = Believed { clean: setup.clone(), input, sent: &setup.experiment.inputs[input] };
-    let mut noise = base.innovation.noise.clone();
-    let first = believed.look(base, &noise)?.1;
+    let mut believed = Believed::nothing(setup, input);
+    let first = believed.look(base, &base.innovation.noise)?;
     // Losses that hardly show above the process noise that they were taken for show once there is less of it, unless a model that
     // lacks something else needs it.
-    let shows = base.shooting_error <= INEXACT && !first.otherwise.is_empty();
+    let shows = base.shooting_error <= INEXACT && first.lost.contains(&true);
     if first.gain < TOLD && !shows {
         return None;
     }
-    believed.revise(&first.otherwise);
-    for _ in 0..STEPS {
-        for _ in 0..LOOKS {
-            let Some((_, lost)) = believed.look(base, &noise).filter(|_| !setup.stop.asked()) else { break };
-            if !believed.revise(&lost.otherwise) {
-                break;
-            }
-        }
-        noise.log_process = (noise.log_process - STEP).max(setup.noise.process_floor);
-    }
-    let mut best: Option<(f64, f64, f64, Held)> = None;
-    let mut worse = 0;
-    for _ in 0..ROUNDS {
-        if worse == PATIENCE || believed.losses(|_| true) == 0 || setup.stop.asked() {
-            break;
-        }
-        let fit = refitted(&believed.clean, base);
-        let Some((kicks, lost)) = believed.look(&fit, &fit.innovation.noise) else { break };
-        let cost = fit.innovation.evidence_cost + believed.price(&kicks);
-        // What leaves predictions worse than no loss at all is no loss, and what leaves much to be explained follows that.
-        let most = base.shooting_error.min(INEXACT.max(LEFT * base.shooting_error));
-        let nearer = fit.shooting_error <= most;
-        worse += 1;
-        if nearer && best.as_ref().is_none_or(|(least, ..)| cost < *least) {
-            worse = 0;
-            best = Some((cost, fit.shooting_error, lost.rate, believed.acted().clone()));
-        }
-        if !believed.revise(&lost.otherwise) {
-            break;
-        }
-    }
-    let (cost, error, rate, acted) = best?;
+    believed.revise(&first.lost);
+    believed.anneal(base);
+    let Round { cost, error, rate, acted } = believed.settle(base)?;
     believed.clean.experiment.inputs[input] = acted.clone();
-    let (of, losses) = (believed.changes(|_| true), believed.losses(|_| true));
-    let accident = losses < FEWEST && (losses as f64) < RAREST * of as f64;
+    let (of, losses) = (believed.changes().len(), believed.stamps());
+    let accident = losses.len() < FEWEST && (losses.len() as f64) < RAREST * of as f64;
     let told = -0.5 * (cost - base.innovation.evidence_cost);
-    if accident || told < TOLD {
+    if accident || told < TOLD || come_at_rest(setup, base, &losses, &believed.changes()) {
         return None;
     }
     // Of those that hardly change anything nobody knows: they are lost as often as the others.
@@ -107,55 +104,167 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
     Some(Acted { input, recorded, acted, effect, cost, error })
 }
 
-impl Believed<'_> {
+impl<'a> Believed<'a> {
+    fn nothing(setup: &'a Setup, input: usize) -> Self {
+        Believed { clean: setup.clone(), input, sent: &setup.experiment.inputs[input], rate: FIRST_RATE }
+    }
+
     fn acted(&self) -> &Held {
         &self.clean.experiment.inputs[self.input]
     }
 
-    /// Commands that are believed lost, of those sent at times for which `within` holds.
-    fn losses(&self, within: impl Fn(f64) -> bool) -> usize {
+    /// Looks again and again, each time with less process noise than the fit has.
+    fn anneal(&mut self, fit: &Fit) {
+        let mut noise = fit.innovation.noise.clone();
+        for _ in 0..STEPS {
+            for _ in 0..LOOKS {
+                let Some(found) = self.look(fit, &noise).filter(|_| !self.clean.stop.asked()) else { break };
+                if !self.revise(&found.lost) {
+                    break;
+                }
+            }
+            if noise.log_process <= self.clean.noise.process_floor {
+                break;
+            }
+            noise.log_process = (noise.log_process - STEP).max(self.clean.noise.process_floor);
+        }
+    }
+
+    /// Fits the hypothesis to what is believed, and believes what the fit says, in turn. Gives the likeliest of it that can be losses.
+    fn settle(&mut self, base: &Fit) -> Option<Round> {
+        let mut best: Option<Round> = None;
+        let mut worse = 0;
+        for _ in 0..ROUNDS {
+            if worse == PATIENCE || self.stamps().is_empty() || self.clean.stop.asked() {
+                break;
+            }
+            let fit = refitted(&self.clean, base);
+            let Some(beam) = self.beam(&fit, &fit.innovation.noise) else { break };
+            let (mut rate, arrived) = (self.rate, beam.arrived());
+            let found = beam.losses(&mut rate);
+            let Some(found) = can_be(found) else { break };
+            self.rate = rate;
+            let (cost, error) = (fit.innovation.evidence_cost + self.price(&found), fit.shooting_error);
+            // What leaves predictions worse than no loss at all is no loss, and what leaves much to be explained follows that.
+            let nearer = error <= base.shooting_error.min(INEXACT.max(LEFT * base.shooting_error));
+            // What is off by about as much as it explains is something else, and the form of another effect may hold the machine
+            // still.
+            let is_loss = arrived < PARTLY && (base.hypothesis.effects.is_empty() || self.are_single());
+            worse += 1;
+            if nearer && is_loss && best.as_ref().is_none_or(|best| cost < best.cost) {
+                worse = 0;
+                best = Some(Round { cost, error, rate: found.rate, acted: self.acted().clone() });
+            }
+            if !self.revise(&found.lost) {
+                break;
+            }
+        }
+        best
+    }
+
+    /// Stamps of the commands that are believed lost (s).
+    fn stamps(&self) -> Vec<f64> {
         let (sent, acted) = (self.sent, self.acted());
-        (1..sent.values.len()).filter(|&k| within(sent.times[k]) && acted.values[k] != sent.values[k]).count()
+        let lost = (1..sent.values.len()).filter(|&k| acted.values[k] != sent.values[k]);
+        lost.map(|k| sent.times[k]).collect()
     }
 
-    /// Commands that change anything, of those sent at such times.
-    fn changes(&self, within: impl Fn(f64) -> bool) -> usize {
+    /// Stamps of the commands that change anything (s).
+    fn changes(&self) -> Vec<f64> {
         let sent = self.sent;
-        (1..sent.values.len())
-            .filter(|&k| within(sent.times[k]) && sent.values[k] != sent.values[k - 1])
-            .count()
+        let changes = (1..sent.values.len()).filter(|&k| sent.values[k] != sent.values[k - 1]);
+        changes.map(|k| sent.times[k]).collect()
     }
 
-    /// What the innovations say of each command, and of all together where it can be losses of few.
-    fn look(&self, fit: &Fit, noise: &Noise) -> Option<(Kicks, Lost)> {
-        let kicks = Kicks::beside(&self.clean, fit, noise, (self.input, self.sent), f64::INFINITY)?;
-        let lost = kicks.lost();
-        (lost.rate < MOST).then_some((kicks, lost))
+    /// What the innovations say of all commands, where it can be losses of few.
+    fn look(&mut self, fit: &Fit, noise: &Noise) -> Option<Losses> {
+        let mut rate = self.rate;
+        let found = self.beam(fit, noise)?.losses(&mut rate);
+        self.rate = rate;
+        can_be(found)
     }
 
-    /// Believes the opposite of these commands. Gives whether there are any.
-    fn revise(&mut self, otherwise: &[usize]) -> bool {
+    /// The commands along a walk of what is believed.
+    fn beam(&self, fit: &Fit, noise: &Noise) -> Option<Beam<'_>> {
+        let (setup, acted) = (&self.clean, self.acted());
+        let mut disturbed = setup.clone();
+        let other = self.otherwise();
+        disturbed.experiment.inputs[self.input] = other.clone();
+        let plain = library::simulator(setup, &fit.hypothesis, fit.residuals.clone());
+        let aside = library::simulator(&disturbed, &fit.hypothesis, fit.residuals.clone());
+        let theta = fit.theta();
+        let stamps = plain.in_force(theta, self.input)?;
+        let in_force =
+            stamps.iter().map(|s| acted.times.partition_point(|t| t <= s).saturating_sub(1)).collect();
+        let (mut run, mut beside) = (plain.run_at(theta), aside.run_at(theta));
+        let late = lateness(run.events());
+        let own = setup.train.iter().map(|s| (s, true)).chain(setup.test.iter().map(|s| (s, false)));
+        let (mut starts, mut trained) = (Vec::new(), Vec::new());
+        for (segment, is_trained) in own {
+            let (from, to) = (segment.from, segment.to);
+            let Some((first, end)) = locate(run.events(), late, from, to) else { continue };
+            let guess = &segment.guess;
+            let (state, std) = plain.start(guess.state(from), guess.std(), run.events()[first].time);
+            starts.push(Start { first, end, from, counts_from: from, weighs_from: from, to, state, std });
+            trained.push(is_trained);
+        }
+        let chains =
+            filter::chains(&mut *run, &mut *beside, &starts, plain.states(), &setup.noise.scale, noise);
+        let stretches = chains.into_iter().zip(trained).collect();
+        Some(Beam { sent: self.sent, acted, other, in_force, stretches })
+    }
+
+    /// Whether the losses come one by one, as chance has it: a machine that holds still while the command goes on looks as if many in a
+    /// row were lost.
+    fn are_single(&self) -> bool {
+        let (sent, acted) = (&self.sent.values, &self.acted().values);
+        let is_lost = |k: usize| acted[k] != sent[k];
+        let runs = (1..sent.len()).filter(|&k| is_lost(k) && !is_lost(k - 1)).count();
+        2 * runs > self.stamps().len()
+    }
+
+    /// For each command another one that may have acted: the opposite of what is believed, or any other where that is the same.
+    fn otherwise(&self) -> Held {
+        let (sent, acted) = (self.sent, self.acted());
+        let changes: Vec<f64> = sent.values.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let typical = root_mean_square(&changes);
+        let mut other = acted.clone();
+        for (k, value) in other.values.iter_mut().enumerate() {
+            let opposite =
+                if *value != sent.values[k] { sent.values[k] } else { acted.values[k.saturating_sub(1)] };
+            let differs = (opposite - *value).abs() > LEAST_CHANGE * typical;
+            *value = if differs { opposite } else { *value + typical };
+        }
+        other
+    }
+
+    /// Believes that these commands were lost. Gives whether that is new.
+    fn revise(&mut self, lost: &[bool]) -> bool {
         let held = &mut self.clean.experiment.inputs[self.input];
-        let mut lost: Vec<bool> = held.values.iter().zip(&self.sent.values).map(|(a, b)| a != b).collect();
-        for &k in otherwise {
-            lost[k] = !lost[k];
+        let mut new = false;
+        for (k, lost) in lost.iter().enumerate().skip(1) {
+            let value = if *lost { held.values[k - 1] } else { self.sent.values[k] };
+            new |= value != held.values[k];
+            held.values[k] = value;
         }
-        for (k, lost) in lost.into_iter().enumerate().skip(1) {
-            held.values[k] = if lost { held.values[k - 1] } else { self.sent.values[k] };
-        }
-        !otherwise.is_empty()
+        new
     }
 
     /// What stating the losses costs on the time that is fitted: as little as the doubt about each of them allows, or all of
     /// it where the look would rather have others.
-    fn price(&self, kicks: &Kicks) -> f64 {
-        let trained = |time: f64| self.clean.train.iter().any(|s| (s.from..s.to).contains(&time));
-        let gain = kicks.part(trained).lost().gain;
-        if gain <= 0.0 {
-            return -2.0 * gain;
+    fn price(&self, found: &Losses) -> f64 {
+        if found.trained <= 0.0 {
+            return -2.0 * found.trained;
         }
-        let (of, lost) = (self.changes(trained) as f64, self.losses(trained) as f64);
+        let trained = |time: f64| self.clean.train.iter().any(|s| (s.from..s.to).contains(&time));
+        let count = |stamps: Vec<f64>| stamps.into_iter().filter(|stamp| trained(*stamp)).count() as f64;
+        let (lost, of) = (count(self.stamps()), count(self.changes()));
         let rate = (lost / of.max(1.0)).clamp(1e-6, 1.0 - 1e-6);
         -2.0 * (lost * rate.ln() + (of - lost) * (1.0 - rate).ln()) + of.max(1.0).ln()
     }
+}
+
+/// What can be losses of few.
+fn can_be(found: Losses) -> Option<Losses> {
+    (found.gain.is_finite() && found.rate < MOST).then_some(found)
 }

@@ -12,6 +12,7 @@
 
 mod acted;
 mod banded;
+mod beam;
 mod doubt;
 mod kicks;
 mod late;
@@ -23,6 +24,7 @@ mod outliers;
 mod peak;
 mod raw;
 mod scatter;
+mod still;
 mod stuck;
 
 use std::collections::BTreeMap;

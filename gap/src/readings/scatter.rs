@@ -13,7 +13,7 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use super::kicks::Kicks;
-use super::lost::{FEWEST, RAREST};
+use super::lost::{self, FEWEST, RAREST};
 use super::peak::peak;
 use super::{LogDensity, ReadingEffect, TRACE, found};
 use crate::experiment::Held;
@@ -107,11 +107,12 @@ fn at_input(setup: &Setup, fit: &Fit, noise: &Noise, input: usize) -> Vec<Readin
     // What is late by less than a reading's period has its own shape where commands come more rarely.
     let short = (period > setup.period).then(|| Kicks::new(setup, fit, noise, input, setup.period)).flatten();
     let delays = short.as_ref().unwrap_or(&losses);
-    let (late, lost) = (delays.late(MOST_PERIODS * period), losses.lost());
+    let late = delays.late(MOST_PERIODS * period);
+    let lost = lost::look(setup, fit, noise, input);
     // A mean lateness is another effect.
     let of_mean = (late.gain - late.log_evidence).max(0.0);
     // Which of the two it is, the commands' own sizes say.
-    let times = late.log_evidence >= lost.gain - of_mean;
+    let times = lost.as_ref().is_none_or(|lost| late.log_evidence >= lost.gain - of_mean);
     let exact = fit.shooting_error <= INEXACT;
     // On held-out time, parameters that were fitted elsewhere leave errors that pass for late commands.
     let trained = |stamp: f64| setup.train.iter().any(|s| (s.from..s.to).contains(&stamp));
@@ -125,21 +126,24 @@ fn at_input(setup: &Setup, fit: &Fit, noise: &Noise, input: usize) -> Vec<Readin
         likelier: times,
         certain: exact && told > CERTAIN,
     };
-    let drops = Judged {
-        name: "drops",
-        parameter: "rate",
-        value: Value { value: lost.rate, std: (lost.rate / lost.of as f64).sqrt(), unit: String::new() },
-        // The variance grows with the rate.
-        scale: lost.rate.sqrt(),
-        evidence: -2.0 * (lost.gain - of_mean),
-        likelier: !times && (lost.otherwise.len() >= FEWEST || lost.rate >= RAREST),
-        certain: false,
-    };
     // What wants to be larger than it can be is something else.
     if late.spread < 0.95 * MOST_PERIODS * period {
         effects.extend(jitter.against(of_commands(setup, delays), &place));
     }
-    effects.extend(drops.against(of_commands(setup, &losses), &place));
+    if let Some(lost) = lost {
+        let count = lost.lost.iter().filter(|lost| **lost).count();
+        let drops = Judged {
+            name: "drops",
+            parameter: "rate",
+            value: Value { value: lost.rate, std: (lost.rate / lost.of as f64).sqrt(), unit: String::new() },
+            // The variance grows with the rate.
+            scale: lost.rate.sqrt(),
+            evidence: -2.0 * (lost.gain - of_mean),
+            likelier: !times && (count >= FEWEST || lost.rate >= RAREST),
+            certain: false,
+        };
+        effects.extend(drops.against(of_commands(setup, &losses), &place));
+    }
     effects
 }
 

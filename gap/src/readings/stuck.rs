@@ -38,10 +38,16 @@ pub(super) fn repeats(local: &Local, wrap: Option<f64>, lattice: Option<Lattice>
         while k < n && same(k) {
             k += 1;
         }
-        // Motion over the run, from the reading before it to the one after it; unknown at the ends of the log.
-        let chord = match (first.checked_sub(1), value.get(k)) {
-            (Some(before), Some(after)) => wrapped(after - value[before], wrap).abs() / (k - before) as f64,
-            _ => 0.0,
+        // Motion over the run, from the reading before it to the one after it; at the ends of the log that of as many readings
+        // beside it.
+        let length = k - first;
+        let motion =
+            |from: usize, to: usize| wrapped(value[to] - value[from], wrap).abs() / (to - from) as f64;
+        let chord = match (first.checked_sub(1), k < n) {
+            (Some(before), true) => motion(before, k),
+            (Some(_), false) => motion(first.saturating_sub(length), first),
+            (None, true) => motion(k - 1, (k - 1 + length).min(n - 1)),
+            (None, false) => 0.0,
         };
         let still = chord <= 1e-9 * largest;
         let probability = if still {
