@@ -124,8 +124,8 @@ impl<'a> EquationsSimulator<'a> {
         self
     }
 
-    /// The stamp of the command of one input that is in force after each event at θ (s). Nothing where an effect with a memory
-    /// spreads each command over those that follow.
+    /// The stamp of the command of one input that is in force after each event at θ (s). Nothing where there is none, or where an
+    /// effect with a memory spreads each command over those that follow.
     #[must_use]
     pub fn in_force(&self, theta: &[f64], input: usize) -> Option<Vec<f64>> {
         let mut effects = self.plant.effects_at(PlaceKind::Input, input).into_iter();
@@ -141,6 +141,9 @@ impl<'a> EquationsSimulator<'a> {
         }
         let variables: Vec<Dual<0>> = extra.iter().copied().map(Dual::from_value).collect();
         let changes = commands::changes(&self.plant, self.experiment, self.step, &variables, input);
+        if changes.is_empty() {
+            return None;
+        }
         let table = table::<0>(self, theta, &extra);
         let held = table.current.chunks(self.experiment.inputs.len());
         Some(held.map(|current| changes[current[input] as usize].stamp).collect())

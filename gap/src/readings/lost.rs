@@ -37,6 +37,9 @@ const PATIENCE: usize = 2;
 /// exact model.
 const LEFT: f64 = 0.1;
 
+/// Changes of a command from which the losses of some can be told.
+const ENOUGH: usize = 10;
+
 /// Share of the commands beyond which it is no loss but another effect.
 const MOST: f64 = 0.4;
 
@@ -184,9 +187,12 @@ impl<'a> Believed<'a> {
         can_be(found)
     }
 
-    /// The commands along a walk of what is believed.
+    /// The commands along a walk of what is believed; nothing where they hardly change, or an effect with a memory spreads them.
     fn beam(&self, fit: &Fit, noise: &Noise) -> Option<Beam<'_>> {
         let (setup, acted) = (&self.clean, self.acted());
+        if self.changes().len() < ENOUGH {
+            return None;
+        }
         let mut disturbed = setup.clone();
         let other = self.otherwise();
         disturbed.experiment.inputs[self.input] = other.clone();
