@@ -1,5 +1,5 @@
-//! How far a fit may go: a limit that nothing reached is out of the way, a phase turns as often as it has to, a stop is as hard as it
-//! is, and a sensor may have limits that it hardly reaches.
+//! How far a fit may go: a limit that nothing reached is out of the way, a phase turns as often as it has to, and a stop is as hard
+//! as it is.
 
 #[path = "support/rail.rs"]
 mod rail;
@@ -20,16 +20,6 @@ axis = { position = "q", velocity = "v", inertia = "1", drive = "u", load = "-d*
 
 /// A mass that starts at `start` (m) and is pushed for 20 s by what `force` makes of its position and the push; steps of 0.1 ms.
 fn diagnosed(start: f64, push: impl Fn(f64) -> f64, force: impl Fn(f64, f64) -> f64) -> Report {
-    read(start, push, force, |q| q)
-}
-
-/// The same by a sensor that shows something else than the position.
-fn read(
-    start: f64,
-    push: impl Fn(f64) -> f64,
-    force: impl Fn(f64, f64) -> f64,
-    shown: impl Fn(f64) -> f64,
-) -> Report {
     const PERIOD: f64 = 0.02;
     const STEPS: u32 = 200;
     let mut random = ChaCha8Rng::seed_from_u64(11);
@@ -38,7 +28,7 @@ fn read(
     for k in 0..1000 {
         let stamp = PERIOD * f64::from(k);
         let noise: f64 = StandardNormal.sample(&mut random);
-        samples.push(Sample { stamp, output: 0, value: shown(q) + 0.0005 * noise });
+        samples.push(Sample { stamp, output: 0, value: q + 0.0005 * noise });
         held.times.push(stamp);
         held.values.push(push(stamp));
         let step = PERIOD / f64::from(STEPS);
@@ -103,11 +93,4 @@ fn a_stop_is_as_hard_as_it_is() {
     assert_eq!(labelled(best), "end_stop@joint:axis", "{}", report.summary);
     let [limit, stiffness] = ["limit", "stiffness"].map(|name| best.effects[0].parameters[name].value);
     assert!((limit - 0.12).abs() < 0.002 && (stiffness / 4000.0 - 1.0).abs() < 0.2, "{limit}, {stiffness}");
-}
-
-#[test]
-fn limits_that_a_sensor_hardly_reaches_are_the_sensors() {
-    let report = read(0.0, shaken, |_, u| u, |q| q.clamp(-0.19, 0.2));
-    let best = &report.which[0];
-    assert_eq!(labelled(best), "sensor_saturation@output:position", "{}", report.summary);
 }
