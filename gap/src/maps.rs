@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::search::Fit;
 use crate::setup::Setup;
-use parallax_model::system::Point;
+use parallax_model::system::JointValues;
 
 /// Innovations of one output, sorted by one quantity.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -102,38 +102,16 @@ pub fn maps(setup: &Setup, fit: &Fit, seed: u64) -> Vec<Map> {
 /// Joint motions, loads and commands at every reading.
 fn regressors(setup: &Setup, fit: &Fit) -> Vec<Regressor> {
     let system = setup.equations.system();
-    let pass = &fit.innovation.pass;
-    let n = system.states.len();
-    let mut parameters = setup.equations.nominal();
-    for (fitted, value) in fit.hypothesis.fitted.iter().zip(fit.theta()) {
-        if let crate::hypothesis::Slot::Nominal(index) = fitted.slot {
-            parameters[index] = *value;
-        }
-    }
-    let width = pass.state.len() / pass.stamp.len().max(1);
-    let mut commands = vec![Vec::new(); system.inputs.len()];
-    let mut joints = vec![[Vec::new(), Vec::new(), Vec::new()]; system.joints.len()];
-    for (k, stamp) in pass.stamp.iter().enumerate() {
-        let inputs: Vec<f64> = setup.experiment.inputs.iter().map(|h| h.at(*stamp)).collect();
-        let states = &pass.state[k * width..k * width + n];
-        let point = Point { parameters: &parameters, states, inputs: &inputs, time: *stamp };
-        let lets = setup.equations.lets(&point, &[]);
-        for (joint, [position, speed, load]) in joints.iter_mut().enumerate() {
-            let values = setup.equations.joint(joint, &point, &lets);
-            position.push(values.position);
-            speed.push(values.velocity);
-            load.push(values.load.unwrap_or(f64::NAN));
-        }
-        for (command, input) in commands.iter_mut().zip(inputs) {
-            command.push(input);
-        }
-    }
+    let stamps = &fit.innovation.pass.stamp;
     let mut all = Vec::new();
-    for (joint, [position, speed, load]) in system.joints.iter().zip(joints) {
+    for (joint, values) in system.joints.iter().zip(fit.joints(setup)) {
+        let of = |what: fn(&JointValues<f64>) -> f64| values.iter().map(what).collect::<Vec<f64>>();
+        let [position, speed] = [of(|joint| joint.position), of(|joint| joint.velocity)];
+        let load = of(|joint| joint.load.unwrap_or(f64::NAN));
         let mut add = |what: &str, unit: &str, values: Vec<f64>| {
             all.push(Regressor { by: format!("{what} joint:{}", joint.name), unit: unit.to_owned(), values });
         };
-        add("time since reversal of", "s", since_reversal(&speed, &pass.stamp));
+        add("time since reversal of", "s", since_reversal(&speed, stamps));
         add("position of", "", position);
         add("speed of", "", speed);
         if load.iter().all(|l| !l.is_nan()) {
@@ -141,7 +119,8 @@ fn regressors(setup: &Setup, fit: &Fit) -> Vec<Regressor> {
         }
     }
     let units = &setup.experiment.input_units;
-    for (index, (input, values)) in system.inputs.iter().zip(commands).enumerate() {
+    for (index, (input, held)) in system.inputs.iter().zip(&setup.experiment.inputs).enumerate() {
+        let values = stamps.iter().map(|stamp| held.at(*stamp)).collect();
         let unit = units.get(index).cloned().unwrap_or_default();
         all.push(Regressor { by: format!("input:{}", input.name), unit, values });
     }

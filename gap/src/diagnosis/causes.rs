@@ -162,8 +162,7 @@ impl<'a> Models<'a> {
         let declared = outputs[output].noise.unwrap_or(f64::INFINITY);
         let alleged = r.parameters.get("std").map_or(0.0, |std| std.value);
         let least = declared.hypot(OWN_NOISE * alleged);
-        let beside = readings::noise_beside(self.setup, self.shown, output, spread);
-        beside.is_some_and(|std| std < least)
+        readings::noise_beside(self.setup, self.shown, output, spread).is_some_and(|std| std < least)
     }
 
     /// Whether the named answer holds what these times are late by on average.

@@ -33,7 +33,7 @@ const FADED: f64 = 1e-4;
 
 /// Commands of one input along stretches of a walk.
 pub(super) struct Beam<'a> {
-    /// What was sent, what acts in the walk, and what in the run beside it.
+    /// What was sent, what acts in the walk, and what in the run beside it, which differs from that in every command.
     pub(super) sent: &'a Held,
     pub(super) acted: &'a Held,
     pub(super) other: Held,
@@ -157,6 +157,11 @@ impl Beam<'_> {
         (losses as f64).clamp(0.5, 0.9 * of as f64) / of as f64
     }
 
+    /// What the other one has in place of a command, less that.
+    fn unit(&self, command: usize) -> f64 {
+        self.other.values[command] - self.acted.values[command]
+    }
+
     /// Commands that change anything.
     fn changes(&self) -> usize {
         self.sent.values.windows(2).filter(|pair| pair[0] != pair[1]).count()
@@ -211,22 +216,16 @@ impl Beam<'_> {
         let n = chain.states;
         let (mut deviation, mut moved) = (vec![0.0; n], vec![0.0; n]);
         let (mut along, mut size) = (0.0, 0.0);
+        let share =
+            |event: usize| if self.in_force[event] == command { change / self.unit(command) } else { 0.0 };
         for link in &chain.links[first..] {
             match *link {
                 Link::Advance { event, at } => {
-                    let (transition, added) = chain.transition(at);
-                    let k = self.in_force[event];
-                    let unit = self.other.values[k] - self.acted.values[k];
-                    let share = if k == command { change / unit } else { 0.0 };
-                    step(transition, &deviation, &mut moved);
-                    deviation
-                        .iter_mut()
-                        .zip(moved.iter().zip(added))
-                        .for_each(|(d, (m, a))| *d = m + share * a);
+                    advance(chain.transition(at), share(event), &mut deviation, &mut moved);
                 }
-                Link::Read { innovation, variance, at, .. } => {
-                    let (by_state, gain, _) = chain.reading(at);
-                    let off: f64 = by_state.iter().zip(&deviation).map(|(h, d)| h * d).sum();
+                Link::Read { event, innovation, variance, at } => {
+                    let (by_state, gain, direct) = chain.reading(at);
+                    let off = seen(by_state, &deviation) + share(event) * direct;
                     let more = off * off / variance;
                     along += off * innovation / variance;
                     size += more;
@@ -263,25 +262,20 @@ impl Beam<'_> {
                             .for_each(|next| branches.grow(next, self.sent.values[next], weights)),
                     }
                     command = Some(k);
-                    let (transition, added) = chain.transition(at);
-                    let (acted, unit) = (self.acted.values[k], self.other.values[k] - self.acted.values[k]);
+                    let (acted, unit) = (self.acted.values[k], self.unit(k));
                     for branch in &branches.kept {
                         let deviation = &mut branches.deviations[branch.at..branch.at + n];
-                        let share = (branch.value - acted) / unit;
-                        step(transition, deviation, &mut moved);
-                        let both = moved.iter().zip(added);
-                        deviation.iter_mut().zip(both).for_each(|(d, (m, a))| *d = m + share * a);
+                        advance(chain.transition(at), (branch.value - acted) / unit, deviation, &mut moved);
                     }
                 }
                 Link::Read { event, innovation, variance, at } => {
                     let (by_state, gain, direct) = chain.reading(at);
                     let k = self.in_force[event];
-                    let (acted, unit) = (self.acted.values[k], self.other.values[k] - self.acted.values[k]);
+                    let (acted, unit) = (self.acted.values[k], self.unit(k));
                     let precision = 0.5 / (variance * scale);
                     for branch in &mut branches.kept {
                         let deviation = &mut branches.deviations[branch.at..branch.at + n];
-                        let seen: f64 = by_state.iter().zip(&*deviation).map(|(h, d)| h * d).sum();
-                        let off = seen + (branch.value - acted) / unit * direct;
+                        let off = seen(by_state, deviation) + (branch.value - acted) / unit * direct;
                         let fit = off * (2.0 * innovation - off) * precision;
                         branch.fit += fit;
                         branch.best += fit;
@@ -373,11 +367,17 @@ impl Branches {
     }
 }
 
-/// `moved` ← Φ `deviation`.
-fn step(transition: &[f64], deviation: &[f64], moved: &mut [f64]) {
-    for (value, row) in moved.iter_mut().zip(transition.chunks(deviation.len().max(1))) {
-        *value = row.iter().zip(deviation).map(|(a, b)| a * b).sum();
+/// `deviation` ← Φ `deviation`, and a `share` of what the other command adds; `moved` is room for it.
+fn advance((transition, added): (&[f64], &[f64]), share: f64, deviation: &mut [f64], moved: &mut [f64]) {
+    for ((value, row), added) in moved.iter_mut().zip(transition.chunks(deviation.len().max(1))).zip(added) {
+        *value = row.iter().zip(&*deviation).map(|(a, b)| a * b).sum::<f64>() + share * added;
     }
+    deviation.copy_from_slice(moved);
+}
+
+/// What a deviation adds to a reading.
+fn seen(by_state: &[f64], deviation: &[f64]) -> f64 {
+    by_state.iter().zip(deviation).map(|(h, d)| h * d).sum()
 }
 
 fn log_sum(of: impl Iterator<Item = f64> + Clone) -> f64 {

@@ -1,9 +1,6 @@
 //! Events that come where a joint hardly moves: there a machine that sticks differs from its model, and nothing that befalls
 //! messages knows where the machine is.
 
-use parallax_model::system::Point;
-
-use crate::hypothesis::Slot;
 use crate::search::Fit;
 use crate::setup::Setup;
 
@@ -30,7 +27,8 @@ pub(super) fn come_at_rest(setup: &Setup, fit: &Fit, events: &[f64], all: &[f64]
     }
     let count = events.len() as f64;
     let least = 0.5 - SLOW / (12.0 * count).sqrt();
-    speeds(setup, fit).iter().any(|speeds| {
+    fit.joints(setup).iter().any(|joint| {
+        let speeds: Vec<f64> = joint.iter().map(|values| values.velocity.abs()).collect();
         let mut sorted: Vec<f64> = all.iter().map(|k| speeds[*k]).collect();
         sorted.sort_by(f64::total_cmp);
         let rank = |k: &usize| {
@@ -40,26 +38,4 @@ pub(super) fn come_at_rest(setup: &Setup, fit: &Fit, events: &[f64], all: &[f64]
         };
         events.iter().map(rank).sum::<f64>() / count < least
     })
-}
-
-/// The speed of each joint at every reading.
-fn speeds(setup: &Setup, fit: &Fit) -> Vec<Vec<f64>> {
-    let (system, pass) = (setup.equations.system(), &fit.innovation.pass);
-    let mut parameters = setup.equations.nominal();
-    for (fitted, value) in fit.hypothesis.fitted.iter().zip(fit.theta()) {
-        if let Slot::Nominal(index) = fitted.slot {
-            parameters[index] = *value;
-        }
-    }
-    let (n, width) = (system.states.len(), pass.states());
-    let mut speeds = vec![Vec::with_capacity(pass.stamp.len()); system.joints.len()];
-    for (stamp, state) in pass.stamp.iter().zip(pass.state.chunks(width.max(1))) {
-        let inputs: Vec<f64> = setup.experiment.inputs.iter().map(|held| held.at(*stamp)).collect();
-        let point = Point { parameters: &parameters, states: &state[..n], inputs: &inputs, time: *stamp };
-        let lets = setup.equations.lets(&point, &[]);
-        for (joint, speeds) in speeds.iter_mut().enumerate() {
-            speeds.push(setup.equations.joint(joint, &point, &lets).velocity.abs());
-        }
-    }
-    speeds
 }

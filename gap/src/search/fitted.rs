@@ -1,6 +1,7 @@
 //! A hypothesis, fitted, and what can be asked of it.
 
 use parallax_model::plant::Residual;
+use parallax_model::system::{JointValues, Point};
 
 use crate::fit::{Minimum, TEMPERATURE};
 use crate::hypothesis::{Hypothesis, Slot};
@@ -53,6 +54,28 @@ const WORSE: f64 = 1.2;
 const SIZES: f64 = 50.0;
 
 impl Fit {
+    /// What the system says of each joint at every reading of the time that is fitted, at the calibrated values of the fit.
+    pub(crate) fn joints(&self, setup: &Setup) -> Vec<Vec<JointValues<f64>>> {
+        let (system, pass) = (setup.equations.system(), &self.innovation.pass);
+        let mut parameters = setup.equations.nominal();
+        for (fitted, value) in self.hypothesis.fitted.iter().zip(self.theta()) {
+            if let Slot::Nominal(index) = fitted.slot {
+                parameters[index] = *value;
+            }
+        }
+        let n = system.states.len();
+        let mut joints: Vec<Vec<JointValues<f64>>> = vec![Vec::new(); system.joints.len()];
+        for (stamp, state) in pass.stamp.iter().zip(pass.state.chunks(pass.states().max(1))) {
+            let inputs: Vec<f64> = setup.experiment.inputs.iter().map(|held| held.at(*stamp)).collect();
+            let point = Point { parameters: &parameters, states: &state[..n], inputs: &inputs, time: *stamp };
+            let lets = setup.equations.lets(&point, &[]);
+            for (joint, values) in joints.iter_mut().enumerate() {
+                values.push(setup.equations.joint(joint, &point, &lets));
+            }
+        }
+        joints
+    }
+
     /// Of what both losses found.
     pub(super) fn assemble(
         setup: &Setup,
