@@ -81,6 +81,23 @@ fn is_sluggish(effect: &FittedEffect) -> bool {
     matches!(Effect::from_name(&effect.name), Some(Effect::Lag | Effect::SensorLag))
 }
 
+/// The name of an effect of an answer where times scatter, if it acts at one of these places or the data do not tell that it acts
+/// elsewhere: what is late anywhere shows everywhere behind it.
+fn late_there(answer: &Which, effect: usize, places: &[&str]) -> Option<String> {
+    let own = &answer.effects[effect];
+    let others: BTreeSet<String> =
+        answer.effects.iter().enumerate().filter(|(k, _)| *k != effect).map(|(_, e)| e.label()).collect();
+    let mut names = places.iter().map(|place| (place, format!("{}@{place}", own.name)));
+    let found = names.find(|(place, there)| {
+        let is_in = |name: &String| {
+            let parts: BTreeSet<String> = name.split(" + ").map(str::to_owned).collect();
+            parts.contains(there) && parts.len() == others.len() + 1 && others.is_subset(&parts)
+        };
+        **place == own.place || answer.class.iter().any(is_in)
+    });
+    found.map(|(_, there)| there)
+}
+
 /// All answers by probability. Effects on how readings scatter that count as causes are part of each.
 pub(crate) fn which(
     setup: &Setup,
@@ -112,15 +129,19 @@ pub(crate) fn which(
             _ => false,
         });
     let mut out = rest;
+    let places: Vec<&str> = scattered().map(|r| r.place.as_str()).collect();
     for answer in out.iter_mut().filter(|answer| answer.effects.len() > 1) {
-        let mean = answer.effects.iter().position(|e| scatters(e) && is_mean_of(setup, e, spread));
-        let Some(mean) = mean else { continue };
-        let mean = answer.effects.remove(mean);
-        let label = format!("{}@{}", mean.name, mean.place);
-        for name in &mut answer.class {
-            let others: Vec<&str> = name.split(" + ").filter(|part| *part != label).collect();
-            *name = others.join(" + ");
-        }
+        let means = answer.effects.iter().enumerate().filter(|(_, e)| is_mean_of(setup, e, spread));
+        let mut alike = means.filter_map(|(k, _)| Some((k, late_there(answer, k, &places)?)));
+        let Some((mean, there)) = alike.next() else { continue };
+        drop(alike);
+        let own = answer.effects.remove(mean).label();
+        let mut known = BTreeSet::new();
+        let class = std::mem::take(&mut answer.class).into_iter().map(|name| {
+            let others: Vec<&str> = name.split(" + ").filter(|part| *part != own && *part != there).collect();
+            others.join(" + ")
+        });
+        answer.class = class.filter(|name| known.insert(name.clone())).collect();
     }
     if let Some(none) = out.iter_mut().find(|answer| answer.effects.is_empty()) {
         none.probability += average.iter().map(|answer| answer.probability).sum::<f64>();
@@ -210,4 +231,30 @@ pub(crate) fn corrected_effects(setup: &Setup, effects: &[FittedEffect]) -> Vec<
             line: 0,
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn effect(name: &str, place: &str) -> FittedEffect {
+        FittedEffect { name: name.into(), place: place.into(), parameters: BTreeMap::new() }
+    }
+
+    fn tilted_and_late(class: &[&str]) -> Which {
+        let effects = vec![effect("gravity_tilt", "joint:shaft"), effect("delay", "input:goal")];
+        Which { effects, class: class.iter().map(|name| (*name).to_owned()).collect(), probability: 1.0 }
+    }
+
+    #[test]
+    fn a_late_command_may_be_late_readings_where_the_data_do_not_tell_them_apart() {
+        let alike = tilted_and_late(&["delay@output:position + gravity_tilt@joint:shaft"]);
+        assert_eq!(late_there(&alike, 1, &["output:position"]).as_deref(), Some("delay@output:position"));
+        // Of another reading the data say no such thing, nor where something else would have to be exchanged as well.
+        assert_eq!(late_there(&alike, 1, &["output:current"]), None);
+        for other in ["delay@output:position", "delay@output:position + wind@joint:shaft"] {
+            assert_eq!(late_there(&tilted_and_late(&[other]), 1, &["output:position"]), None, "{other}");
+        }
+        assert_eq!(late_there(&alike, 1, &["input:goal"]).as_deref(), Some("delay@input:goal"));
+    }
 }

@@ -87,7 +87,7 @@ pub fn combinations(setup: &Setup, null: &Fit, fits: &[Fit], forms: &[EffectAt],
         if base.hypothesis.effects.len() < 2 {
             continue;
         }
-        let base = combine.simplified(combine.pruned(base));
+        let base = combine.shortened(base);
         let known = |other: &Fit| same(&other.hypothesis.effects, &base.hypothesis.effects);
         if base.hypothesis.effects.len() < 2
             || found.iter().any(known)

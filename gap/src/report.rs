@@ -182,6 +182,14 @@ pub struct FittedEffect {
     pub parameters: std::collections::BTreeMap<String, Value>,
 }
 
+impl FittedEffect {
+    /// Its name and place: `delay@input:u`.
+    #[must_use]
+    pub fn label(&self) -> String {
+        format!("{}@{}", self.name, self.place)
+    }
+}
+
 /// A number with its uncertainty.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Value {

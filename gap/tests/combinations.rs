@@ -72,3 +72,12 @@ fn a_spring_in_the_drive_beside_a_clock_that_gains() {
     let report = diagnose(Hidden { skew: 0.002, flexible: Some((8.0, 0.02, 0.3)), ..Hidden::default() }, 15);
     assert_eq!(names(&report), ["clock_skew", "flexibility"], "{}", report.summary);
 }
+
+/// Alone, the sensor's filter is fitted best as one of second order; beside the wall that is more than it needs.
+#[test]
+fn a_sensor_that_is_behind_beside_a_wall_has_no_more_than_it_needs() {
+    let report = diagnose(Hidden { filter: 0.014, wall: 40.0, ..Hidden::default() }, 16);
+    assert_eq!(names(&report), ["end_stop", "sensor_lag"], "{}", report.summary);
+    let lag = report.which[0].effects.iter().find(|e| e.name == "sensor_lag").expect("it is there");
+    assert_eq!(lag.parameters.len(), 1, "{}", report.summary);
+}

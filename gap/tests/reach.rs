@@ -53,7 +53,7 @@ fn diagnosed(start: f64, push: impl Fn(f64) -> f64, force: impl Fn(f64, f64) -> 
 }
 
 fn labelled(answer: &Which) -> String {
-    let effects: Vec<String> = answer.effects.iter().map(|e| format!("{}@{}", e.name, e.place)).collect();
+    let effects: Vec<String> = answer.effects.iter().map(|e| e.label()).collect();
     effects.join(" + ")
 }
 

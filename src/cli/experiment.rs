@@ -108,8 +108,7 @@ fn alike(report: &Report) -> Vec<String> {
         report.which.iter().filter(|answer| answer.probability >= LIKELY && !answer.effects.is_empty());
     answers
         .map(|answer| {
-            let labels: Vec<String> =
-                answer.effects.iter().map(|effect| format!("{}@{}", effect.name, effect.place)).collect();
+            let labels: Vec<String> = answer.effects.iter().map(|effect| effect.label()).collect();
             labels.join(" + ")
         })
         .collect()

@@ -25,8 +25,17 @@ impl Combine<'_> {
         }
     }
 
+    /// With no effect that is not needed, each in its simplest form: what made up for a form that was off is not needed beside the
+    /// right one.
+    pub(super) fn shortened(&self, fit: Fit) -> Fit {
+        let fit = self.pruned(fit);
+        let before = fit.hypothesis.effects.clone();
+        let fit = self.simplified(fit);
+        if same(&before, &fit.hypothesis.effects) { fit } else { self.pruned(fit) }
+    }
+
     /// Leaves out each effect without which the evidence loses less than [`WORTH`](crate::judge::WORTH), the least needed first.
-    pub(super) fn pruned(&self, mut fit: Fit) -> Fit {
+    fn pruned(&self, mut fit: Fit) -> Fit {
         let judge = &self.judge;
         while fit.hypothesis.effects.len() > 1 && !self.setup.stop.leaves_out(|| SEVERAL.into()) {
             let doubtful: Vec<usize> =
@@ -45,7 +54,7 @@ impl Combine<'_> {
 
     /// Puts a simpler effect in the place of one that contains it, where that one is not worth it, or hardly and what the simpler
     /// one leaves out is not told from nothing.
-    pub(super) fn simplified(&self, mut fit: Fit) -> Fit {
+    fn simplified(&self, mut fit: Fit) -> Fit {
         let (setup, judge) = (self.setup, &self.judge);
         for k in 0..fit.hypothesis.effects.len() {
             for simpler in fit.hypothesis.effects[k].effect.simpler() {

@@ -31,7 +31,7 @@ impl Answer<'_> {
         if self.effects.is_empty() {
             return vec![self.word.to_owned()];
         }
-        self.effects.iter().map(name).collect()
+        self.effects.iter().map(FittedEffect::label).collect()
     }
 
     /// The fitted parameters of all effects: `delay 0.041 ± 0.001 s, …`.
@@ -44,13 +44,8 @@ impl Answer<'_> {
     }
 }
 
-/// `delay@input:goal`.
-fn name(effect: &FittedEffect) -> String {
-    format!("{}@{}", effect.name, effect.place)
-}
-
 fn answer(which: &Which) -> Answer<'_> {
-    let own: Vec<String> = which.effects.iter().map(name).collect();
+    let own: Vec<String> = which.effects.iter().map(FittedEffect::label).collect();
     let whole = own.join(" + ");
     let word = if which.class.iter().any(|name| name == NONE_OF_THESE) { NONE_OF_THESE } else { NO_GAP };
     let alike = which.class.iter().map(String::as_str).filter(|other| {

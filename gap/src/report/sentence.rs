@@ -33,7 +33,7 @@ fn found(report: &Report) -> String {
         return format!("There is a gap of {score} times the sensor noise, and no effect could be tested.");
     };
     if report.unexplained.probability > leader.probability {
-        let nearest: Vec<String> = leader.effects.iter().map(|e| format!("{}@{}", e.name, e.place)).collect();
+        let nearest: Vec<String> = leader.effects.iter().map(|e| e.label()).collect();
         return format!(
             "There is a gap of {score} times the sensor noise, and none of the named effects describes it (probability {} %); the nearest is {}.",
             format::number(100.0 * report.unexplained.probability, 2),

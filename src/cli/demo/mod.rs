@@ -175,7 +175,7 @@ fn is_right(report: &Report, truth: Option<&str>) -> bool {
     let leader = report.which.first().filter(|_| report.gap.detected);
     leader.is_some_and(|leader| {
         leader.class.iter().any(|name| name == truth)
-            || leader.effects.iter().any(|effect| format!("{}@{}", effect.name, effect.place) == truth)
+            || leader.effects.iter().any(|effect| effect.label() == truth)
     })
 }
 

@@ -175,7 +175,7 @@ impl Finding {
                         .effects
                         .iter()
                         .map(|effect| NamedEffect {
-                            label: format!("{}@{}", effect.name, effect.place),
+                            label: effect.label(),
                             parameters: effect
                                 .parameters
                                 .iter()

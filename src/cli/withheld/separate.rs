@@ -90,8 +90,7 @@ pub(crate) fn separate(
         Ok(report) => {
             if let Some(answer) = leading(&report) {
                 separation.after.clone_from(&answer.class);
-                separation.leader =
-                    answer.effects.iter().map(|effect| format!("{}@{}", effect.name, effect.place)).collect();
+                separation.leader = answer.effects.iter().map(|effect| effect.label()).collect();
             }
         }
         Err(error) => separation.error = Some(format!("{error:#}")),
