@@ -131,10 +131,9 @@ pub(crate) fn which(
     let mut out = rest;
     let places: Vec<&str> = scattered().map(|r| r.place.as_str()).collect();
     for answer in out.iter_mut().filter(|answer| answer.effects.len() > 1) {
-        let means = answer.effects.iter().enumerate().filter(|(_, e)| is_mean_of(setup, e, spread));
-        let mut alike = means.filter_map(|(k, _)| Some((k, late_there(answer, k, &places)?)));
-        let Some((mean, there)) = alike.next() else { continue };
-        drop(alike);
+        let mut means = answer.effects.iter().enumerate().filter(|(_, e)| is_mean_of(setup, e, spread));
+        let mean = means.find_map(|(k, _)| Some((k, late_there(answer, k, &places)?)));
+        let Some((mean, there)) = mean else { continue };
         let own = answer.effects.remove(mean).label();
         let mut known = BTreeSet::new();
         let class = std::mem::take(&mut answer.class).into_iter().map(|name| {
