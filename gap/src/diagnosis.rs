@@ -234,9 +234,6 @@ impl Found {
 /// predict to refute it. Evidence is of one-step predictions; what holds there and fails on fresh motion is no machine.
 const OVERTAKES: f64 = 0.9;
 
-/// Share of the gap on held-out time below which, with certainty, an answer closes nothing of it.
-const CLOSES_NOTHING: f64 = 0.02;
-
 fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) -> Diagnosis {
     let Found { setup, null, mut answers, p_value, not_testable, absorbed, mut readings } = found;
     let setup = &setup;
@@ -266,7 +263,7 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     }
     let mut detected = p_value < 0.01 && answers.no_gap < 0.5;
     let worse = |with: &Row| quantify::closed(&refitted, with, options.seed).high < 0.0;
-    let mut with_best = None;
+    let (mut with_best, mut times_are_all) = (None, false);
     if detected && acted.is_none() && !answers.names() {
         claims::hold_unknown(&mut answers, &null, &row, &refitted, options.seed);
     }
@@ -282,11 +279,14 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     }
     if let Some(with) = &with_best
         && acted.is_none()
-        && quantify::closed(&refitted, with, options.seed).high < CLOSES_NOTHING
-        && causes::are_times(&possible(readings::scatter(setup, &null)), gain(&answers))
+        && causes::are_times(
+            &possible(readings::scatter(setup, &null)),
+            gain(&answers),
+            &quantify::closed(&refitted, with, options.seed),
+        )
     {
         answers.name_none(&null);
-        (detected, with_best) = (false, None);
+        (detected, with_best, times_are_all) = (false, None, true);
     }
     let named = answers.names();
     let best = &answers.leader(&null).clone();
@@ -329,7 +329,8 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
         .collect();
 
     let named_one = (detected, detected && named);
-    let mut causes = Models::new(setup, &null, &answers, &rows, named_one, acted.as_ref()).causes(&readings);
+    let models = Models::new(setup, &null, &answers, &rows, named_one, acted.as_ref(), times_are_all);
+    let mut causes = models.causes(&readings);
     // Beside causes that only scatter, what closes little may do so because of them; what closes nothing is doubted there as well.
     let closes_nothing = how_far.closed_by_effect.value <= 0.0;
     if detected && named && acted.is_none() && (causes.is_empty() || closes_nothing) {

@@ -6,7 +6,7 @@ use crate::answers;
 use crate::posterior::Posterior;
 use crate::quantify::Row;
 use crate::readings::{self, Acted, ReadingEffect};
-use crate::report::FittedEffect;
+use crate::report::{FittedEffect, Interval};
 use crate::rows::Rows;
 use crate::search::Fit;
 use crate::setup::Setup;
@@ -49,11 +49,19 @@ pub(super) fn are_all(readings: &[ReadingEffect], refitted: &Row, gain: f64) -> 
     refitted.mean_square() < AT_FLOOR && gain < OF_ODD_READINGS * evidence
 }
 
-/// Whether the times of some readings scatter, and say more than a named answer that closes nothing lowers the cost (`gain`): it
-/// follows what such readings are off by.
-pub(super) fn are_times(scattered: &[ReadingEffect], gain: f64) -> bool {
+/// Share of the gap on held-out time below which, with certainty, an answer closes nothing of it.
+const CLOSES_NOTHING: f64 = 0.02;
+
+/// Whether the times of some readings scatter, and say more than a named answer that closes nothing (`closed`) lowers the cost
+/// (`gain`), or far more than one that seems to close nothing: it follows what such readings are off by.
+pub(super) fn are_times(scattered: &[ReadingEffect], gain: f64, closed: &Interval) -> bool {
+    let least = match closed {
+        closed if closed.high < CLOSES_NOTHING => gain,
+        closed if closed.value <= 0.0 => OUTWEIGHS * gain,
+        _ => f64::INFINITY,
+    };
     let times = |r: &&ReadingEffect| r.significant && r.name == "jitter" && r.place.starts_with("output:");
-    scattered.iter().filter(times).any(|r| -r.evidence > gain)
+    scattered.iter().filter(times).any(|r| -r.evidence > least)
 }
 
 /// What the models say, for what the readings show to be held against.
@@ -74,7 +82,8 @@ pub(super) struct Models<'a> {
 }
 
 impl<'a> Models<'a> {
-    /// `named`: a gap was detected, and effects were named; `detected`: a gap was detected.
+    /// `named`: a gap was detected, and effects were named; `detected`: a gap was detected; `times_are_all`: the times of readings,
+    /// which scatter, say more than any mean.
     pub(super) fn new(
         setup: &'a Setup,
         null: &'a Fit,
@@ -82,6 +91,7 @@ impl<'a> Models<'a> {
         rows: &Rows,
         (detected, named): (bool, bool),
         acted: Option<&'a Acted>,
+        times_are_all: bool,
     ) -> Self {
         let best = answers.leader(null);
         let left = rows.with_effect.mean_square();
@@ -97,7 +107,7 @@ impl<'a> Models<'a> {
             gain: if named { answers.cost(null) - answers.cost(best) } else { 0.0 },
             excess: least - 1.0,
             by_chance,
-            mean_explained: least < MEAN_EXPLAINED.powi(2) || (!detected && by_chance),
+            mean_explained: times_are_all || least < MEAN_EXPLAINED.powi(2) || (!detected && by_chance),
             acted,
         }
     }
@@ -112,7 +122,7 @@ impl<'a> Models<'a> {
                 && !self.of_times(r, readings)
                 && !self.of_form(r)
                 && !self.of_rounding(r, readings)
-                && self.acted.is_none_or(|acted| acted.effect.place != r.place)
+                && !self.left_by_acted(r)
                 && !readings::is_trace(r, readings)
         });
         chosen.cloned().collect()
@@ -134,6 +144,14 @@ impl<'a> Models<'a> {
                 moved > share * self.excess
             }),
         }
+    }
+
+    /// What commands that acted otherwise leave where they are not quite known, as scatter does at other places.
+    fn left_by_acted(&self, r: &ReadingEffect) -> bool {
+        self.acted.is_some_and(|acted| {
+            let scatters = matches!(r.name.as_str(), "jitter" | "drops");
+            acted.effect.place == r.place || scatters && r.evidence > readings::TRACE * acted.effect.evidence
+        })
     }
 
     /// The corners of a clipped reading look like outliers and bad times.
@@ -240,8 +258,14 @@ mod tests {
     #[test]
     fn times_of_readings_say_more_than_an_answer_that_closes_nothing() {
         let of = |place: &str, evidence: f64| [shown("jitter", place, evidence)];
-        assert!(are_times(&of("output:q", -3000.0), 700.0));
-        assert!(!are_times(&of("output:q", -300.0), 700.0));
-        assert!(!are_times(&of("input:u", -3000.0), 700.0), "a command that scatters moves the machine");
+        let closed = |value: f64, high: f64| crate::report::Interval { value, low: -1.0, high };
+        let nothing = closed(-0.2, 0.0);
+        assert!(are_times(&of("output:q", -3000.0), 700.0, &nothing));
+        assert!(!are_times(&of("output:q", -300.0), 700.0, &nothing));
+        assert!(!are_times(&of("input:u", -3000.0), 700.0, &nothing), "a command that scatters moves the machine");
+        // Where an answer may close something, they must say far more.
+        assert!(!are_times(&of("output:q", -3000.0), 700.0, &closed(-0.1, 0.3)));
+        assert!(are_times(&of("output:q", -3000.0), 100.0, &closed(-0.1, 0.3)));
+        assert!(!are_times(&of("output:q", -3000.0), 100.0, &closed(0.1, 0.3)), "what closes something is there");
     }
 }

@@ -12,6 +12,7 @@ use super::kicks::{Kicks, Late};
 use super::scatter::{self, MOST_PERIODS};
 use super::still::come_at_rest;
 use crate::experiment::Held;
+use crate::filter::Noise;
 use crate::hypothesis::{EffectAt, Slot};
 use crate::library;
 use crate::report::Value;
@@ -33,6 +34,10 @@ const WORTH_A_LOOK: f64 = 2.0;
 /// Share of what times explain together that the most telling of them do.
 const MOST: f64 = 0.5;
 
+/// Steps in which another process noise is tried, as logarithms of variances, and how many at most.
+const STEP: f64 = 1.0;
+const STEPS: usize = 8;
+
 /// Messages do not overtake each other: the least time between two (s).
 const APART: f64 = 1e-9;
 
@@ -48,6 +53,8 @@ struct Look {
     /// −2 log likelihood on the time that is fitted: of commands that scatter so, and of innovations as they are.
     scattered: f64,
     plain: f64,
+    /// Log evidence for commands that scatter on the time that is fitted.
+    fitted: f64,
     /// Log likelihood against that of commands whose changes are exchanged.
     own: f64,
 }
@@ -83,15 +90,23 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
         clean.experiment.inputs[input].times.iter_mut().for_each(|time| *time += mean);
         refitted(clean, base)
     };
-    let (mut clean, mut last) = (setup.clone(), look(setup, base)?);
+    let (mut clean, mut fit, mut last) = (setup.clone(), base.clone(), look(setup, base)?);
     if last.late.log_evidence < WORTH_A_LOOK && last.late.gain > TOLD {
-        let fit = in_time(&mut clean, base.clone());
+        fit = in_time(&mut clean, fit);
         last = look(&clean, &fit)?;
     }
     if last.late.log_evidence < WORTH_A_LOOK {
         return None;
     }
     let mut best: Option<(f64, f64, Setup, Look)> = None;
+    // Short times under a model that leaves nothing else are as their responses say, in proportion; of all of the log, as most of
+    // what speaks for them lies in how much else scatters.
+    if fit.shooting_error <= INEXACT && last.late.spread < unit && last.fitted > WORTH_A_LOOK {
+        let mut there = clean.clone();
+        there.experiment.inputs[input] = moved(recorded, &last, unit);
+        let cost = fit.innovation.evidence_cost - 2.0 * last.late.log_evidence;
+        best = Some((cost, fit.shooting_error, there, last.clone()));
+    }
     for _ in 0..ROUNDS {
         clean.experiment.inputs[input] = moved(recorded, &last, unit);
         let fit = refitted(&clean, base);
@@ -143,24 +158,52 @@ fn mean_lateness(setup: &Setup, fit: &Fit, place: &Place) -> Option<f64> {
 }
 
 /// Looks at the innovations of a model under commands that were moved already; times in units of `unit` (s).
+///
+/// Commands that scatter are process noise to a model that takes them as they were sent: without them there is less. Where they
+/// were moved as is likeliest, the noise that was fitted then lacks what they do not tell: there is more.
 fn look(
     clean: &Setup,
     fit: &Fit,
     (input, recorded): (usize, &Held),
     (unit, most): (f64, f64),
 ) -> Option<Look> {
-    let kicks = Kicks::new(clean, fit, &fit.innovation.noise, input, unit)?.in_units_of(unit);
-    let (commands, times) = (kicks.commands(), &clean.experiment.inputs[input].times);
-    let already: Vec<f64> = commands.iter().map(|k| (times[*k] - recorded.times[*k]) / unit).collect();
-    let all = kicks.with(&already);
-    let late = all.late(most);
+    let times = &clean.experiment.inputs[input].times;
+    let at = |noise: &Noise| {
+        let kicks = Kicks::new(clean, fit, noise, input, unit)?.in_units_of(unit);
+        let late_by = |k: &usize| (times[*k] - recorded.times[*k]) / unit;
+        let already: Vec<f64> = kicks.commands().iter().map(late_by).collect();
+        let all = kicks.with(&already);
+        let late = all.late(most);
+        Some((kicks, already, all, late))
+    };
+    let mut best = at(&fit.innovation.noise)?;
+    let trained = |stamp: f64| clean.train.iter().any(|s| (s.from..s.to).contains(&stamp));
+    let part = best.0.part(trained);
+    let (plain, same_fitted, same) = (part.plain(), part.with(&best.1).of_same(), best.2.of_same());
+    for direction in [-STEP, STEP] {
+        let mut noise = fit.innovation.noise.clone();
+        for _ in 0..STEPS {
+            noise.log_process += direction;
+            if best.3.log_evidence <= 0.0 || noise.log_process < clean.noise.process_floor {
+                break;
+            }
+            let Some(mut next) = at(&noise) else { break };
+            next.3.log_evidence -= 0.5 * (next.2.of_same() - same);
+            if next.3.log_evidence <= best.3.log_evidence {
+                break;
+            }
+            best = next;
+        }
+    }
+    let (kicks, already, all, late) = best;
     let shares = all.shares(&late)?;
     let explained = all.explained(&shares);
     let own = late.gain - all.exchanged().late(most).gain;
-    let trained = |stamp: f64| clean.train.iter().any(|s| (s.from..s.to).contains(&stamp));
     let part = kicks.part(trained);
-    let (scattered, plain) = (part.scattered(&already, &late), part.plain());
-    Some(Look { commands, shares, explained, late, scattered, plain, own })
+    let scattered = part.scattered(&already, &late);
+    let of_fitted = part.with(&already);
+    let fitted = of_fitted.late(most).log_evidence - 0.5 * (of_fitted.of_same() - same_fitted);
+    Some(Look { commands: kicks.commands(), shares, explained, late, scattered, plain, fitted, own })
 }
 
 /// The commands at the times that the look found, in their order.

@@ -38,14 +38,35 @@ impl Local {
     /// √(1 + Σ weights²). The second value is the factor that was divided by.
     pub(super) fn residual(&self, k: usize) -> Option<(f64, f64)> {
         let (first, last) = (k.checked_sub(self.reach)?, k + self.reach);
-        if last >= self.stamp.len() || self.stamp[last] - self.stamp[first] > self.longest {
+        if last >= self.stamp.len() {
+            return None;
+        }
+        self.from(k, &(first..=last).filter(|j| *j != k).collect::<Vec<usize>>())
+    }
+
+    /// The same from the nearest neighbours that do not count as `marked`.
+    pub(super) fn residual_without(&self, k: usize, marked: &[bool]) -> Option<(f64, f64)> {
+        let free = |j: &usize| !marked[*j];
+        let before: Vec<usize> = (0..k).rev().filter(free).take(self.reach).collect();
+        let after: Vec<usize> = (k + 1..self.stamp.len()).filter(free).take(self.reach).collect();
+        if before.len().min(after.len()) < self.reach {
+            return None;
+        }
+        self.from(k, &before.into_iter().rev().chain(after).collect::<Vec<usize>>())
+    }
+
+    /// The residual of reading `k` from the polynomial through these others, in the order of their stamps.
+    fn from(&self, k: usize, others: &[usize]) -> Option<(f64, f64)> {
+        let span = self.stamp[*others.last()?] - self.stamp[*others.first()?];
+        if span > self.longest {
             return None;
         }
         let (mut sum, mut squares) = (0.0, 1.0);
-        for j in (first..=last).filter(|j| *j != k) {
-            let weight: f64 = (first..=last)
-                .filter(|i| *i != k && *i != j)
-                .map(|i| (self.stamp[k] - self.stamp[i]) / (self.stamp[j] - self.stamp[i]))
+        for &j in others {
+            let weight: f64 = others
+                .iter()
+                .filter(|i| **i != j)
+                .map(|&i| (self.stamp[k] - self.stamp[i]) / (self.stamp[j] - self.stamp[i]))
                 .product();
             // Angles are followed from the reading itself.
             sum += weight * wrapped(self.value[j] - self.value[k], self.wrap);

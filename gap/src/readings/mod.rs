@@ -43,7 +43,7 @@ pub use scatter::{over_horizon, over_readings, scatter};
 
 /// Share of the evidence of bad readings, of a lattice, or of times that scatter elsewhere, below which times that scatter are what these
 /// leave behind.
-const TRACE: f64 = 0.1;
+pub(crate) const TRACE: f64 = 0.1;
 
 /// The same at the bad readings' own place: the smaller ones are found where the reading hardly moves, and stay where it is
 /// fast.
@@ -71,7 +71,7 @@ pub fn is_trace(effect: &ReadingEffect, all: &[ReadingEffect]) -> bool {
         }),
         // Times are now and then far off, and where the reading is fast so is what it shows.
         "outliers" => {
-            found(&["jitter"]).any(|e| e.place == effect.place && effect.evidence > TRACE * e.evidence)
+            found(&["jitter"]).any(|e| e.place == effect.place && effect.evidence > TRACE_THERE * e.evidence)
         }
         "stuck" => found(&["quantization"]).any(|e| e.place == effect.place),
         _ => false,

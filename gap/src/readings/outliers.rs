@@ -13,21 +13,29 @@ const AROUND: usize = 100;
 /// How much larger the residual of a lone outlier is than those of its neighbours: 1.5 exactly.
 const LONE: f64 = 1.2;
 
-/// Marks lone readings far from their neighbours. `floor` is the least noise that is believed.
+/// How many times likelier under outliers a reading must be than under noise, once there are outliers, and the deviation in units of
+/// the local noise below which it never counts.
+const LIKELIER: f64 = 10.0;
+const NEAREST: f64 = 4.0;
+
+/// Rounds in which suspects are looked at again, and how many in a row may be outliers.
+const ROUNDS: usize = 8;
+const IN_A_ROW: usize = 3;
+
+/// Marks lone readings far from their neighbours, beside those that are `marked` already. `floor` is the least noise that is
+/// believed, `far` the deviation in units of the local noise from which a reading is suspicious.
 ///
 /// The largest goes first: it is replaced by what its neighbours say, so that it does not spoil theirs. A jump, which
 /// two readings share, stays.
-pub(super) fn mark(local: &mut Local, floor: f64) -> Vec<bool> {
+fn mark_lone(local: &mut Local, marked: &mut [bool], scale: &[f64], far: f64) {
     let n = local.value.len();
-    let mut marked = vec![false; n];
-    let scale = scales(&local.residuals(), floor);
     for _ in 0..8 {
         let residuals = local.residuals();
         let size = |k: usize| residuals.get(k).copied().flatten().map_or(0.0, f64::abs);
         let mut suspects: Vec<usize> = (1..n.saturating_sub(1))
             .filter(|&k| {
                 let lone = size(k) > LONE * size(k - 1).max(size(k + 1));
-                size(k) > FAR * scale[k] && lone && !marked[k]
+                size(k) > far * scale[k] && lone && !marked[k]
             })
             .collect();
         if suspects.is_empty() {
@@ -44,6 +52,46 @@ pub(super) fn mark(local: &mut Local, floor: f64) -> Vec<bool> {
             local.value[k] -= residual * factor;
             (marked[k], touched[k]) = (true, true);
         }
+    }
+}
+
+/// Marks lone readings far from their neighbours.
+pub(super) fn mark(local: &mut Local, floor: f64) -> Vec<bool> {
+    let mut marked = vec![false; local.value.len()];
+    let scale = scales(&local.residuals(), floor);
+    mark_lone(local, &mut marked, &scale, FAR);
+    marked
+}
+
+/// Marks what is likely to be an outlier where such readings lie so `far` (a standard deviation) from the noise of `std` at this
+/// `rate`: those that follow each other closely as well, and those that are not so far. `local` is as it was read.
+///
+/// Whatever is far from its neighbours is suspected first, and acquitted where it is near what those say that are not suspected.
+pub(super) fn mark_again(local: &mut Local, floor: f64, rate: f64, (std, far): (f64, f64)) -> Vec<bool> {
+    let n = local.value.len();
+    let scale = scales(&local.residuals(), floor);
+    let odds = (LIKELIER * (1.0 - rate) / rate * far / std).max(1.0);
+    let most = (2.0 * odds.ln()).sqrt().max(NEAREST);
+    let mut marked = vec![false; n];
+    for _ in 0..ROUNDS {
+        let is_far = |k: usize| local.residual_without(k, &marked).is_some_and(|(r, _)| r.abs() > most * scale[k]);
+        let again: Vec<bool> = (0..n).map(is_far).collect();
+        if again == marked {
+            break;
+        }
+        marked = again;
+    }
+    // Many in a row are no outliers: beside a jump, what lies before it and what lies behind it do not fit.
+    for row in marked.chunk_by_mut(|a, b| a == b).filter(|row| row.len() > IN_A_ROW) {
+        row.fill(false);
+    }
+    let instead = |k: usize| {
+        let (residual, factor) = local.residual_without(k, &marked)?;
+        Some(local.value[k] - residual * factor)
+    };
+    let replaced: Vec<Option<f64>> = (0..n).map(|k| if marked[k] { instead(k) } else { None }).collect();
+    for (value, instead) in local.value.iter_mut().zip(replaced) {
+        *value = instead.unwrap_or(*value);
     }
     marked
 }

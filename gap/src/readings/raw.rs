@@ -181,7 +181,13 @@ fn judge(
     let largest = local.value.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
     let floor = declared.unwrap_or(0.0).max(rounding).max(1e-9 * largest);
     let before = clean.value.clone();
-    let marked = if smooth { outliers::mark(&mut clean, floor) } else { vec![false; before.len()] };
+    let mut marked = if smooth { outliers::mark(&mut clean, floor) } else { vec![false; before.len()] };
+    let first = outlier_effect(&clean, &before, &marked, &Noise::new(&clean, declared, floor), place);
+    if let Some((effect, sizes)) = first.filter(|(effect, _)| effect.significant) {
+        let rate = effect.parameters.get("rate").map_or(0.0, |rate| rate.value);
+        clean.value.clone_from(&before);
+        marked = outliers::mark_again(&mut clean, floor, rate, sizes);
+    }
     let noise = Noise::new(&clean, declared, floor);
 
     if count > 0 {
@@ -189,7 +195,8 @@ fn judge(
         let value = share_of(&rate);
         out.effects.push(found("stuck", place.into(), ("rate", value), evidence, is_stuck, density));
     }
-    let (effect, has_outliers) = outlier_effect(&clean, &before, &marked, &noise, place);
+    let effect = outlier_effect(&clean, &before, &marked, &noise, place).map(|(effect, _)| effect);
+    let has_outliers = effect.as_ref().is_some_and(|effect| effect.significant);
     out.effects.extend(effect);
     for (&k, marked) in kept.iter().zip(&marked) {
         if *marked && has_outliers {
@@ -339,17 +346,17 @@ fn stuck_density(local: &Local, repeated: &Repeats, rate: &Peak, noise: &Noise, 
     LogDensity { without, with, best: with.max(without) }
 }
 
-/// A second, wide component of the noise.
+/// A second, wide component of the noise; with the standard deviations of the narrow one and of this one.
 fn outlier_effect(
     clean: &Local,
     before: &[f64],
     marked: &[bool],
     noise: &Noise,
     place: &str,
-) -> (Option<ReadingEffect>, bool) {
+) -> Option<(ReadingEffect, (f64, f64))> {
     let count = marked.iter().filter(|m| **m).count();
     if count == 0 {
-        return (None, false);
+        return None;
     }
     // Residuals as they were, against neighbours that are clean.
     let residuals: Vec<(usize, f64)> = (0..marked.len())
@@ -375,8 +382,7 @@ fn outlier_effect(
     let with = scored.score(|r| outliers::log_mixture(r, rate.value, std, far));
     let density = LogDensity { without, with, best: with.max(free(&scored)) };
     let effect = found("outliers", place.into(), ("rate", share_of(&rate)), evidence, count >= 3, density);
-    let significant = effect.significant;
-    (Some(effect), significant)
+    Some((effect, (std, far)))
 }
 
 /// Longest pause, in periods, that counts as readings that were lost rather than as a log that was interrupted.

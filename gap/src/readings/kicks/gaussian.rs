@@ -91,6 +91,12 @@ impl Kicks {
         shares.iter().all(|share| share.is_finite()).then_some(shares)
     }
 
+    /// −2 log likelihood of commands that are all late by the same time, whatever it is, up to a constant; the scale of the innovations
+    /// is free.
+    pub(in crate::readings) fn of_same(&self) -> f64 {
+        self.cost(0.0).0 + self.volume
+    }
+
     /// −2 log likelihood of the innovations as they are, up to a constant.
     pub(in crate::readings) fn plain(&self) -> f64 {
         self.energy + self.volume
