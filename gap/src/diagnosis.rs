@@ -143,7 +143,7 @@ pub(crate) fn diagnose_bound(
     }
     progress(0.86, "lost and late commands");
     let acted = readings::acted(&found.setup, &experiment, &found.null, &found.answers, options);
-    if let Some(acted) = &acted {
+    if let Some(acted) = acted.as_ref().filter(|acted| acted.by_chance) {
         // What else there is shows once it is known what acted.
         let before = found.null.shooting_error;
         found = weigh(&raw, &acted.replaced(experiment), (0.86, 0.92))?;
@@ -230,12 +230,20 @@ impl Found {
     }
 }
 
+/// Share of their probability that named answers keep where something is known to be there that is no effect.
+const KNOWN_TO_BE_NONE: f64 = 0.01;
+
 /// Share of what the leading answer leaves of held-out time that another one, which follows the other windows no worse, must
 /// predict to refute it. Evidence is of one-step predictions; what holds there and fails on fresh motion is no machine.
 const OVERTAKES: f64 = 0.9;
 
 fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) -> Diagnosis {
     let Found { setup, null, mut answers, p_value, not_testable, absorbed, mut readings } = found;
+    // What goes with the commands themselves is known to be there, and no effect of the library.
+    let (acted, of_size) = match acted {
+        Some(acted) if !acted.by_chance => (None, Some(acted.effect)),
+        acted => (acted, None),
+    };
     let setup = &setup;
     // Without the effect the machine is predicted from what was sent, with it from what arrived.
     let recorded = acted.as_ref().map(|acted| acted.as_recorded(setup));
@@ -247,7 +255,7 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
         effect.zip(place.ok()).is_some_and(|(effect, place)| options.allows(&EffectAt { effect, place }))
     };
     let possible = |mut all: Vec<ReadingEffect>| {
-        all.retain(|r| allowed(r) && !stated(r));
+        all.retain(|r| allowed(r) && !stated(r) && of_size.as_ref().is_none_or(|of| of.place != r.place));
         all
     };
     readings = possible(readings);
@@ -287,6 +295,10 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     {
         answers.name_none(&null);
         (detected, with_best, times_are_all) = (false, None, true);
+    }
+    if of_size.is_some() {
+        answers.leave_to_unknown(KNOWN_TO_BE_NONE);
+        with_best = None;
     }
     let named = answers.names();
     let best = &answers.leader(&null).clone();
@@ -343,7 +355,10 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     if !(causes.is_empty() || detected && named) {
         answers.stand_beside_another(&null);
     }
-    let unexplained = Unexplained { probability: answers.unexplained, share };
+    let hint = of_size.map(|of| {
+        format!("{} acts late where the command is large, which no effect of the library does", of.place)
+    });
+    let unexplained = Unexplained { probability: answers.unexplained, share, hint };
     let chance = causes.iter().map(|r| (0.5 * r.evidence).exp()).fold(p_value, f64::min);
     let (mean_detected, detected) = (detected, detected || !causes.is_empty());
     let shown = if mean_detected && named { best } else { &null };

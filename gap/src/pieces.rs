@@ -103,6 +103,7 @@ fn together(found: Vec<Diagnosis>, seed: u64) -> Diagnosis {
         probability: detected.iter().map(|r| r.unexplained.probability).product::<f64>()
             * f64::from(u8::from(!detected.is_empty())),
         share: if detected.is_empty() { 0.0 } else { rows.left() },
+        hint: reports.iter().find_map(|r| r.unexplained.hint.clone()),
     };
     let outputs = |d: &Diagnosis| d.overlays.iter().map(|o| o.output.clone()).collect::<Vec<_>>();
     let open: Vec<String> = found.iter().filter(|d| nameless(&&&d.report)).flat_map(outputs).collect();

@@ -98,11 +98,7 @@ impl Posterior {
         let Some(first) = self.answers.first().map(|a| a.probability) else { return };
         let named: f64 = self.answers.iter().map(|a| a.probability).sum();
         let share = doubted(first, named, self.unexplained, closed);
-        for answer in &mut self.answers {
-            answer.probability *= 1.0 - share;
-            answer.members.iter_mut().for_each(|(_, probability, _)| *probability *= 1.0 - share);
-        }
-        self.unexplained += share * named;
+        self.leave_to_unknown(1.0 - share);
     }
 
     /// The fits of other answers that follow the windows no worse than the leading one.
@@ -146,6 +142,16 @@ impl Posterior {
         self.residual_on_leader = None;
         self.log_alone = self.log_alone.min(self.log_no_gap + PRIOR_UNKNOWN.ln());
         self.settle(None, null);
+    }
+
+    /// Leaves all but this share of what the named answers have to an unknown cause: something is known to be there that is no effect.
+    pub fn leave_to_unknown(&mut self, but: f64) {
+        let named: f64 = self.answers.iter().map(|a| a.probability).sum();
+        for answer in &mut self.answers {
+            answer.probability *= but;
+            answer.members.iter_mut().for_each(|(_, probability, _)| *probability *= but);
+        }
+        self.unexplained += (1.0 - but) * named;
     }
 
     /// Leaves the unknown cause its prior alone: predictions of held-out time with a residual in its place are worse than

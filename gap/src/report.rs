@@ -215,6 +215,9 @@ pub struct Unexplained {
     pub probability: f64,
     /// Share of the gap that remains beyond the best named answer and that a flexible residual closes.
     pub share: f64,
+    /// What is known to be there all the same, in words.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hint: Option<String>,
 }
 
 /// An effect that a calibrated parameter covers.

@@ -20,6 +20,19 @@ pub fn quantile(values: &mut [f64], q: f64) -> f64 {
     *value
 }
 
+/// The rank of each value, less the mean rank; equal values share theirs.
+pub fn centred_ranks(values: &[f64]) -> Vec<f64> {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let middle = 0.5 * values.len() as f64;
+    let rank = |value: &f64| {
+        let below = sorted.partition_point(|v| v.total_cmp(value).is_lt());
+        let up_to = sorted.partition_point(|v| v.total_cmp(value).is_le());
+        0.5 * (below + up_to) as f64 - middle
+    };
+    values.iter().map(rank).collect()
+}
+
 /// Root mean square; 0 for none.
 #[must_use]
 pub fn root_mean_square(values: &[f64]) -> f64 {

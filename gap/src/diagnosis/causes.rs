@@ -262,10 +262,16 @@ mod tests {
         let nothing = closed(-0.2, 0.0);
         assert!(are_times(&of("output:q", -3000.0), 700.0, &nothing));
         assert!(!are_times(&of("output:q", -300.0), 700.0, &nothing));
-        assert!(!are_times(&of("input:u", -3000.0), 700.0, &nothing), "a command that scatters moves the machine");
+        assert!(
+            !are_times(&of("input:u", -3000.0), 700.0, &nothing),
+            "a command that scatters moves the machine"
+        );
         // Where an answer may close something, they must say far more.
         assert!(!are_times(&of("output:q", -3000.0), 700.0, &closed(-0.1, 0.3)));
         assert!(are_times(&of("output:q", -3000.0), 100.0, &closed(-0.1, 0.3)));
-        assert!(!are_times(&of("output:q", -3000.0), 100.0, &closed(0.1, 0.3)), "what closes something is there");
+        assert!(
+            !are_times(&of("output:q", -3000.0), 100.0, &closed(0.1, 0.3)),
+            "what closes something is there"
+        );
     }
 }

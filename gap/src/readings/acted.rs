@@ -41,6 +41,8 @@ pub(crate) struct Acted {
     pub(super) acted: Held,
     /// What happened to them, as an effect.
     pub(crate) effect: ReadingEffect,
+    /// Whether it befell them by chance: what goes with their size is no effect of the library.
+    pub(crate) by_chance: bool,
     /// −2 log evidence with them, and the mean squared residual of short windows, in noise units squared.
     pub(super) cost: f64,
     pub(super) error: f64,

@@ -10,6 +10,7 @@ use super::acted::{Acted, TOLD, refitted};
 use super::found;
 use super::kicks::{Kicks, Late};
 use super::scatter::{self, MOST_PERIODS};
+use super::size::goes_with_size;
 use super::still::come_at_rest;
 use crate::experiment::Held;
 use crate::filter::Noise;
@@ -136,7 +137,11 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
     let effect =
         found("jitter", place.to_string(), ("spread", value), -2.0 * told, true, density.unwrap_or_default());
     let acted = clean.experiment.inputs[input].clone();
-    Some(Acted { input, recorded: recorded.clone(), acted, effect, cost, error })
+    let middle = median(&mut recorded.values.clone());
+    let of = |value: &dyn Fn(usize) -> f64| last.commands.iter().map(|k| value(*k)).collect::<Vec<f64>>();
+    let late = of(&|k| acted.times[k] - recorded.times[k]);
+    let by_chance = !goes_with_size(&late, &of(&|k| (recorded.values[k] - middle).abs()));
+    Some(Acted { input, recorded: recorded.clone(), acted, effect, by_chance, cost, error })
 }
 
 /// How late all commands still are (s), where that explains something: calibrated parameters, fitted meanwhile, can stand in

@@ -104,7 +104,7 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
     let effect =
         found("drops", place.to_string(), ("rate", value), -2.0 * told, true, density.unwrap_or_default());
     let recorded = believed.sent.clone();
-    Some(Acted { input, recorded, acted, effect, cost, error })
+    Some(Acted { input, recorded, acted, effect, by_chance: true, cost, error })
 }
 
 impl<'a> Believed<'a> {

@@ -24,6 +24,7 @@ mod outliers;
 mod peak;
 mod raw;
 mod scatter;
+mod size;
 mod still;
 mod stuck;
 

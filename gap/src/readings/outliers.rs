@@ -13,29 +13,25 @@ const AROUND: usize = 100;
 /// How much larger the residual of a lone outlier is than those of its neighbours: 1.5 exactly.
 const LONE: f64 = 1.2;
 
-/// How many times likelier under outliers a reading must be than under noise, once there are outliers, and the deviation in units of
-/// the local noise below which it never counts.
-const LIKELIER: f64 = 10.0;
-const NEAREST: f64 = 4.0;
-
 /// Rounds in which suspects are looked at again, and how many in a row may be outliers.
 const ROUNDS: usize = 8;
 const IN_A_ROW: usize = 3;
 
-/// Marks lone readings far from their neighbours, beside those that are `marked` already. `floor` is the least noise that is
-/// believed, `far` the deviation in units of the local noise from which a reading is suspicious.
+/// Marks lone readings far from their neighbours. `floor` is the least noise that is believed.
 ///
 /// The largest goes first: it is replaced by what its neighbours say, so that it does not spoil theirs. A jump, which
 /// two readings share, stays.
-fn mark_lone(local: &mut Local, marked: &mut [bool], scale: &[f64], far: f64) {
+pub(super) fn mark(local: &mut Local, floor: f64) -> Vec<bool> {
     let n = local.value.len();
+    let mut marked = vec![false; n];
+    let scale = scales(&local.residuals(), floor);
     for _ in 0..8 {
         let residuals = local.residuals();
         let size = |k: usize| residuals.get(k).copied().flatten().map_or(0.0, f64::abs);
         let mut suspects: Vec<usize> = (1..n.saturating_sub(1))
             .filter(|&k| {
                 let lone = size(k) > LONE * size(k - 1).max(size(k + 1));
-                size(k) > far * scale[k] && lone && !marked[k]
+                size(k) > FAR * scale[k] && lone && !marked[k]
             })
             .collect();
         if suspects.is_empty() {
@@ -53,29 +49,26 @@ fn mark_lone(local: &mut Local, marked: &mut [bool], scale: &[f64], far: f64) {
             (marked[k], touched[k]) = (true, true);
         }
     }
-}
-
-/// Marks lone readings far from their neighbours.
-pub(super) fn mark(local: &mut Local, floor: f64) -> Vec<bool> {
-    let mut marked = vec![false; local.value.len()];
-    let scale = scales(&local.residuals(), floor);
-    mark_lone(local, &mut marked, &scale, FAR);
     marked
 }
 
-/// Marks what is likely to be an outlier where such readings lie so `far` (a standard deviation) from the noise of `std` at this
-/// `rate`: those that follow each other closely as well, and those that are not so far. `local` is as it was read.
+/// Marks readings far from their neighbours where there are outliers: those that follow each other closely as well. `local` is as
+/// it was read, and gets what their neighbours say in their place.
 ///
 /// Whatever is far from its neighbours is suspected first, and acquitted where it is near what those say that are not suspected.
-pub(super) fn mark_again(local: &mut Local, floor: f64, rate: f64, (std, far): (f64, f64)) -> Vec<bool> {
+pub(super) fn mark_again(local: &mut Local, floor: f64) -> Vec<bool> {
     let n = local.value.len();
     let scale = scales(&local.residuals(), floor);
-    let odds = (LIKELIER * (1.0 - rate) / rate * far / std).max(1.0);
-    let most = (2.0 * odds.ln()).sqrt().max(NEAREST);
     let mut marked = vec![false; n];
-    for _ in 0..ROUNDS {
-        let is_far = |k: usize| local.residual_without(k, &marked).is_some_and(|(r, _)| r.abs() > most * scale[k]);
-        let again: Vec<bool> = (0..n).map(is_far).collect();
+    for round in 0..ROUNDS {
+        let is_far =
+            |k: usize| local.residual_without(k, &marked).is_some_and(|(r, _)| r.abs() > FAR * scale[k]);
+        let mut again: Vec<bool> = (0..n).map(is_far).collect();
+        if round == 0 {
+            // Two that are off alike make those beside them look worse than themselves.
+            let near = |k: usize| again[k.saturating_sub(1)..(k + 2).min(n)].contains(&true);
+            again = (0..n).map(near).collect();
+        }
         if again == marked {
             break;
         }
@@ -123,4 +116,60 @@ pub(super) fn rate(residuals: &[f64], independence: f64, std: f64, far: f64) -> 
     peak(1e-4, 0.5, |rate| {
         independence * residuals.iter().map(|r| log_mixture(*r, rate, std, far)).sum::<f64>()
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    use super::*;
+
+    const NOISE: f64 = 0.003;
+
+    /// A smooth motion that is noisy, and jumps at the end.
+    fn moved() -> (Vec<f64>, Vec<f64>) {
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(8);
+        let stamp: Vec<f64> = (0..1000).map(|k| 0.01 * f64::from(k)).collect();
+        let noisy = |t: &f64| {
+            let z: f64 = StandardNormal.sample(&mut random);
+            (2.0 * t).sin() + NOISE * z + f64::from(u8::from(*t > 9.0))
+        };
+        let value = stamp.iter().map(noisy).collect();
+        (stamp, value)
+    }
+
+    fn of(marked: &[bool]) -> Vec<usize> {
+        (0..marked.len()).filter(|k| marked[*k]).collect()
+    }
+
+    #[test]
+    fn outliers_close_to_each_other_are_all_marked_and_a_jump_is_not() {
+        let (stamp, clean) = moved();
+        let far: [(usize, f64); 9] = [
+            (100, 60.0),
+            (300, -45.0),
+            (301, 80.0),
+            (500, 50.0),
+            (502, 50.0),
+            (600, 30.0),
+            (601, 30.0),
+            (700, -70.0),
+            (703, 90.0),
+        ];
+        let mut value = clean.clone();
+        far.iter().for_each(|(k, size)| value[*k] += size * NOISE);
+        let mut local = Local::new(stamp, value, None);
+        let marked = mark_again(&mut local, NOISE);
+        assert_eq!(of(&marked), far.map(|(k, _)| k));
+        // What stands in their place is what the neighbours say.
+        for (k, _) in far {
+            assert!(
+                (local.value[k] - clean[k]).abs() < 5.0 * NOISE,
+                "{k}: {} for {}",
+                local.value[k],
+                clean[k]
+            );
+        }
+    }
 }

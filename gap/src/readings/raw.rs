@@ -182,11 +182,10 @@ fn judge(
     let floor = declared.unwrap_or(0.0).max(rounding).max(1e-9 * largest);
     let before = clean.value.clone();
     let mut marked = if smooth { outliers::mark(&mut clean, floor) } else { vec![false; before.len()] };
-    let first = outlier_effect(&clean, &before, &marked, &Noise::new(&clean, declared, floor), place);
-    if let Some((effect, sizes)) = first.filter(|(effect, _)| effect.significant) {
-        let rate = effect.parameters.get("rate").map_or(0.0, |rate| rate.value);
+    let alleged = outlier_effect(&clean, &before, &marked, &Noise::new(&clean, declared, floor), place);
+    if alleged.is_some_and(|effect| effect.significant) {
         clean.value.clone_from(&before);
-        marked = outliers::mark_again(&mut clean, floor, rate, sizes);
+        marked = outliers::mark_again(&mut clean, floor);
     }
     let noise = Noise::new(&clean, declared, floor);
 
@@ -195,7 +194,7 @@ fn judge(
         let value = share_of(&rate);
         out.effects.push(found("stuck", place.into(), ("rate", value), evidence, is_stuck, density));
     }
-    let effect = outlier_effect(&clean, &before, &marked, &noise, place).map(|(effect, _)| effect);
+    let effect = outlier_effect(&clean, &before, &marked, &noise, place);
     let has_outliers = effect.as_ref().is_some_and(|effect| effect.significant);
     out.effects.extend(effect);
     for (&k, marked) in kept.iter().zip(&marked) {
@@ -346,14 +345,14 @@ fn stuck_density(local: &Local, repeated: &Repeats, rate: &Peak, noise: &Noise, 
     LogDensity { without, with, best: with.max(without) }
 }
 
-/// A second, wide component of the noise; with the standard deviations of the narrow one and of this one.
+/// A second, wide component of the noise.
 fn outlier_effect(
     clean: &Local,
     before: &[f64],
     marked: &[bool],
     noise: &Noise,
     place: &str,
-) -> Option<(ReadingEffect, (f64, f64))> {
+) -> Option<ReadingEffect> {
     let count = marked.iter().filter(|m| **m).count();
     if count == 0 {
         return None;
@@ -381,8 +380,7 @@ fn outlier_effect(
     let without = scored.score(|r| log_normal(r, all));
     let with = scored.score(|r| outliers::log_mixture(r, rate.value, std, far));
     let density = LogDensity { without, with, best: with.max(free(&scored)) };
-    let effect = found("outliers", place.into(), ("rate", share_of(&rate)), evidence, count >= 3, density);
-    Some((effect, (std, far)))
+    Some(found("outliers", place.into(), ("rate", share_of(&rate)), evidence, count >= 3, density))
 }
 
 /// Longest pause, in periods, that counts as readings that were lost rather than as a log that was interrupted.

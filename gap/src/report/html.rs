@@ -416,8 +416,9 @@ fn unexplained(report: &Report) -> String {
     let unexplained = &report.unexplained;
     let probability = set(&format::probability(unexplained.probability));
     let share = set(&format::share(unexplained.share));
+    let hint = unexplained.hint.as_ref().map(|hint| format!("<p>{}</p>\n", escape(hint))).unwrap_or_default();
     let content = format!(
-        "<div class=\"pairbar long\"><span>no named effect is the cause</span>{}<b class=\"number\">{probability}</b>\
+        "{hint}<div class=\"pairbar long\"><span>no named effect is the cause</span>{}<b class=\"number\">{probability}</b>\
          <span>share of the gap left to a flexible residual</span>{}<b class=\"number\">{share}</b></div>\n",
         bars::share(unexplained.probability, "bar-plain", None),
         bars::share(unexplained.share, "bar-plain", None),

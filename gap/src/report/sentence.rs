@@ -33,6 +33,11 @@ fn found(report: &Report) -> String {
         return format!("There is a gap of {score} times the sensor noise, and no effect could be tested.");
     };
     if report.unexplained.probability > leader.probability {
+        if let Some(hint) = &report.unexplained.hint {
+            return format!(
+                "There is a gap of {score} times the sensor noise, of a cause outside the library: {hint}."
+            );
+        }
         let nearest: Vec<String> = leader.effects.iter().map(|e| e.label()).collect();
         return format!(
             "There is a gap of {score} times the sensor noise, and none of the named effects describes it (probability {} %); the nearest is {}.",

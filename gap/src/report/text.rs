@@ -43,6 +43,9 @@ pub fn summary(report: &Report) -> String {
     );
     let text = if report.tried_the_unknown() { text } else { "not tried".into() };
     lines.put("unexplained", 0, &text);
+    if let Some(hint) = &unexplained.hint {
+        lines.put("", 2, hint);
+    }
     for (i, confusable) in report.confusable.iter().take(3).enumerate() {
         let text = format!("{}: {}", confusable.effects.join(" or "), confusable.separate_by);
         lines.put(if i == 0 { "to separate" } else { "" }, 2, &text);

@@ -104,7 +104,7 @@ pub(crate) fn one_effect() -> Report {
             map("time", "s", 0.4, 0.01, |_| 0.01),
         ],
         readings: vec![],
-        unexplained: Unexplained { probability: 0.01, share: 0.02 },
+        unexplained: Unexplained { probability: 0.01, share: 0.02, hint: None },
         absorbed: vec![Absorbed { effect: "viscous@joint:shaft".to_owned(), by: "b".to_owned() }],
         not_testable: vec![NotTestable {
             effect: "cogging@joint:shaft".to_owned(),
@@ -219,7 +219,7 @@ pub(crate) fn no_gap() -> Report {
     report.where_.clear();
     report.maps.clear();
     report.confusable.clear();
-    report.unexplained = Unexplained { probability: 0.004, share: 0.0 };
+    report.unexplained = Unexplained { probability: 0.004, share: 0.0, hint: None };
     report.how_far = HowFar {
         horizon_s: 0.25,
         nominal: 1.31,
@@ -240,7 +240,7 @@ pub(crate) fn none_of_these() -> Report {
     let mut report = one_effect();
     report.summary = "There is a gap at joint:shaft, and none of the named effects is its cause.".to_owned();
     report.which[0].probability = 0.08;
-    report.unexplained = Unexplained { probability: 0.88, share: 0.74 };
+    report.unexplained = Unexplained { probability: 0.88, share: 0.74, hint: None };
     report.how_far.with_effect = 4.9;
     report.how_far.closed_by_effect = interval(0.4, 0.12, 0.55);
     report
@@ -287,7 +287,7 @@ pub(crate) fn extreme() -> Report {
     report.which[0].effects[0] =
         effect("delay", "input:goal", &[("delay", 1e308, f64::MAX, "s"), ("x", -1e-300, 0.0, "")]);
     report.which[1].probability = f64::NAN;
-    report.unexplained = Unexplained { probability: f64::NAN, share: f64::NEG_INFINITY };
+    report.unexplained = Unexplained { probability: f64::NAN, share: f64::NEG_INFINITY, hint: None };
     report
 }
 
