@@ -25,6 +25,9 @@ const COARSE: f64 = 1.0;
 /// Share of the readings from which effects are learnt; the rest, in time, is held out.
 const LEARNT: f64 = 2.0 / 3.0;
 
+/// How many times more outliers there may be once those close to each other are marked as well.
+const MANY_MORE: f64 = 1.25;
+
 /// Why a reading should not be fitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -184,8 +187,14 @@ fn judge(
     let mut marked = if smooth { outliers::mark(&mut clean, floor) } else { vec![false; before.len()] };
     let alleged = outlier_effect(&clean, &before, &marked, &Noise::new(&clean, declared, floor), place);
     if alleged.is_some_and(|effect| effect.significant) {
-        clean.value.clone_from(&before);
-        marked = outliers::mark_again(&mut clean, floor);
+        let mut others = clean.clone();
+        others.value.clone_from(&before);
+        let again = outliers::mark_again(&mut others, floor);
+        let count = |marked: &[bool]| marked.iter().filter(|m| **m).count() as f64;
+        // Beside the corners of a motion that is not smooth there are ever more: these are judged by a model, if they are lone.
+        if count(&again) < MANY_MORE * count(&marked) {
+            (clean, marked) = (others, again);
+        }
     }
     let noise = Noise::new(&clean, declared, floor);
 
