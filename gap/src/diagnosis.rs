@@ -230,7 +230,7 @@ impl Found {
     }
 }
 
-/// Share of their probability that named answers keep where something is known to be there that is no effect.
+/// Share of its probability that all else keeps where something is known to be there that is no effect.
 const KNOWN_TO_BE_NONE: f64 = 0.01;
 
 /// Share of what the leading answer leaves of held-out time that another one, which follows the other windows no worse, must
@@ -297,8 +297,8 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
         (detected, with_best, times_are_all) = (false, None, true);
     }
     if of_size.is_some() {
-        answers.leave_to_unknown(KNOWN_TO_BE_NONE);
-        with_best = None;
+        answers.know_unknown(KNOWN_TO_BE_NONE);
+        (detected, with_best) = (true, None);
     }
     let named = answers.names();
     let best = &answers.leader(&null).clone();
@@ -355,11 +355,11 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     if !(causes.is_empty() || detected && named) {
         answers.stand_beside_another(&null);
     }
-    let hint = of_size.map(|of| {
+    let hint = of_size.as_ref().map(|of| {
         format!("{} acts late where the command is large, which no effect of the library does", of.place)
     });
     let unexplained = Unexplained { probability: answers.unexplained, share, hint };
-    let chance = causes.iter().map(|r| (0.5 * r.evidence).exp()).fold(p_value, f64::min);
+    let chance = causes.iter().chain(&of_size).map(|r| (0.5 * r.evidence).exp()).fold(p_value, f64::min);
     let (mean_detected, detected) = (detected, detected || !causes.is_empty());
     let shown = if mean_detected && named { best } else { &null };
     let which = answers::which(setup, &answers, &causes);

@@ -144,8 +144,15 @@ impl Posterior {
         self.settle(None, null);
     }
 
-    /// Leaves all but this share of what the named answers have to an unknown cause: something is known to be there that is no effect.
-    pub fn leave_to_unknown(&mut self, but: f64) {
+    /// Leaves all but this share of what all else has to an unknown cause: something is known to be there that is no effect.
+    pub fn know_unknown(&mut self, but: f64) {
+        self.unexplained += (1.0 - but) * self.no_gap;
+        self.no_gap *= but;
+        self.leave_to_unknown(but);
+    }
+
+    /// Leaves all but this share of what the named answers have to an unknown cause.
+    fn leave_to_unknown(&mut self, but: f64) {
         let named: f64 = self.answers.iter().map(|a| a.probability).sum();
         for answer in &mut self.answers {
             answer.probability *= but;

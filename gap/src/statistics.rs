@@ -20,17 +20,19 @@ pub fn quantile(values: &mut [f64], q: f64) -> f64 {
     *value
 }
 
-/// The rank of each value, less the mean rank; equal values share theirs.
+/// The rank of a value among sorted ones; equal values share theirs.
+pub fn rank_among(sorted: &[f64], value: f64) -> f64 {
+    let below = sorted.partition_point(|v| *v < value);
+    let up_to = sorted.partition_point(|v| *v <= value);
+    0.5 * (below + up_to) as f64
+}
+
+/// The rank of each value, less the mean rank.
 pub fn centred_ranks(values: &[f64]) -> Vec<f64> {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
     let middle = 0.5 * values.len() as f64;
-    let rank = |value: &f64| {
-        let below = sorted.partition_point(|v| v.total_cmp(value).is_lt());
-        let up_to = sorted.partition_point(|v| v.total_cmp(value).is_le());
-        0.5 * (below + up_to) as f64 - middle
-    };
-    values.iter().map(rank).collect()
+    values.iter().map(|value| rank_among(&sorted, *value) - middle).collect()
 }
 
 /// Root mean square; 0 for none.

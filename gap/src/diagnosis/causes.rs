@@ -223,6 +223,7 @@ mod tests {
     use super::{are_all, are_times};
     use crate::quantify::{Block, Row};
     use crate::readings::{LogDensity, ReadingEffect};
+    use crate::report::Interval;
 
     fn shown(name: &str, place: &str, evidence: f64) -> ReadingEffect {
         let parameters = std::collections::BTreeMap::new();
@@ -258,7 +259,7 @@ mod tests {
     #[test]
     fn times_of_readings_say_more_than_an_answer_that_closes_nothing() {
         let of = |place: &str, evidence: f64| [shown("jitter", place, evidence)];
-        let closed = |value: f64, high: f64| crate::report::Interval { value, low: -1.0, high };
+        let closed = |value: f64, high: f64| Interval { value, low: -1.0, high };
         let nothing = closed(-0.2, 0.0);
         assert!(are_times(&of("output:q", -3000.0), 700.0, &nothing));
         assert!(!are_times(&of("output:q", -300.0), 700.0, &nothing));

@@ -60,6 +60,18 @@ struct Look {
     own: f64,
 }
 
+/// The innovations under one process noise.
+struct Level {
+    /// The responses of commands as they are now, on all of the log and on the time that is fitted.
+    kicks: Kicks,
+    fitted: Kicks,
+    /// By how much each command was moved already, in units.
+    already: Vec<f64>,
+    /// As the innovations would be had none been moved, and what they say.
+    all: Kicks,
+    late: Late,
+}
+
 impl Look {
     /// The commands that say most of it.
     fn telling(&self) -> Vec<usize> {
@@ -173,41 +185,44 @@ fn look(
     (unit, most): (f64, f64),
 ) -> Option<Look> {
     let times = &clean.experiment.inputs[input].times;
-    let at = |noise: &Noise| {
+    let trained = |stamp: f64| clean.train.iter().any(|s| (s.from..s.to).contains(&stamp));
+    let under = |noise: &Noise| {
         let kicks = Kicks::new(clean, fit, noise, input, unit)?.in_units_of(unit);
         let late_by = |k: &usize| (times[*k] - recorded.times[*k]) / unit;
         let already: Vec<f64> = kicks.commands().iter().map(late_by).collect();
         let all = kicks.with(&already);
         let late = all.late(most);
-        Some((kicks, already, all, late))
+        Some(Level { fitted: kicks.part(trained), kicks, already, all, late })
     };
-    let mut best = at(&fit.innovation.noise)?;
-    let trained = |stamp: f64| clean.train.iter().any(|s| (s.from..s.to).contains(&stamp));
-    let part = best.0.part(trained);
-    let (plain, same_fitted, same) = (part.plain(), part.with(&best.1).of_same(), best.2.of_same());
+    let mut best = under(&fit.innovation.noise)?;
+    // What every noise is held to: commands that are all late by the same time, and as they are.
+    let (same, plain) = (best.all.of_same(), best.fitted.plain());
+    let same_fitted = best.fitted.with(&best.already).of_same();
     for direction in [-STEP, STEP] {
-        let mut noise = fit.innovation.noise.clone();
+        let (mut noise, begun) = (fit.innovation.noise.clone(), best.late.log_evidence);
         for _ in 0..STEPS {
             noise.log_process += direction;
-            if best.3.log_evidence <= 0.0 || noise.log_process < clean.noise.process_floor {
+            if best.late.log_evidence <= 0.0 || noise.log_process < clean.noise.process_floor {
                 break;
             }
-            let Some(mut next) = at(&noise) else { break };
-            next.3.log_evidence -= 0.5 * (next.2.of_same() - same);
-            if next.3.log_evidence <= best.3.log_evidence {
+            let Some(mut next) = under(&noise) else { break };
+            next.late.log_evidence -= 0.5 * (next.all.of_same() - same);
+            if next.late.log_evidence <= best.late.log_evidence {
                 break;
             }
             best = next;
         }
+        if best.late.log_evidence > begun {
+            break;
+        }
     }
-    let (kicks, already, all, late) = best;
+    let Level { kicks, fitted, already, all, late } = best;
     let shares = all.shares(&late)?;
     let explained = all.explained(&shares);
     let own = late.gain - all.exchanged().late(most).gain;
-    let part = kicks.part(trained);
-    let scattered = part.scattered(&already, &late);
-    let of_fitted = part.with(&already);
-    let fitted = of_fitted.late(most).log_evidence - 0.5 * (of_fitted.of_same() - same_fitted);
+    let scattered = fitted.scattered(&already, &late);
+    let part = fitted.with(&already);
+    let fitted = part.late(most).log_evidence - 0.5 * (part.of_same() - same_fitted);
     Some(Look { commands: kicks.commands(), shares, explained, late, scattered, plain, fitted, own })
 }
 

@@ -185,8 +185,10 @@ fn judge(
     let floor = declared.unwrap_or(0.0).max(rounding).max(1e-9 * largest);
     let before = clean.value.clone();
     let mut marked = if smooth { outliers::mark(&mut clean, floor) } else { vec![false; before.len()] };
-    let alleged = outlier_effect(&clean, &before, &marked, &Noise::new(&clean, declared, floor), place);
-    if alleged.is_some_and(|effect| effect.significant) {
+    let mut noise = Noise::new(&clean, declared, floor);
+    let mut alleged = outlier_effect(&clean, &before, &marked, &noise, place);
+    let significant = |effect: &Option<ReadingEffect>| effect.as_ref().is_some_and(|e| e.significant);
+    if significant(&alleged) {
         let mut others = clean.clone();
         others.value.clone_from(&before);
         let again = outliers::mark_again(&mut others, floor);
@@ -194,18 +196,18 @@ fn judge(
         // Beside the corners of a motion that is not smooth there are ever more: these are judged by a model, if they are lone.
         if count(&again) < MANY_MORE * count(&marked) {
             (clean, marked) = (others, again);
+            noise = Noise::new(&clean, declared, floor);
+            alleged = outlier_effect(&clean, &before, &marked, &noise, place);
         }
     }
-    let noise = Noise::new(&clean, declared, floor);
+    let has_outliers = significant(&alleged);
 
     if count > 0 {
         let density = stuck_density(&local, &repeated, &rate, &noise, learnt);
         let value = share_of(&rate);
         out.effects.push(found("stuck", place.into(), ("rate", value), evidence, is_stuck, density));
     }
-    let effect = outlier_effect(&clean, &before, &marked, &noise, place);
-    let has_outliers = effect.as_ref().is_some_and(|effect| effect.significant);
-    out.effects.extend(effect);
+    out.effects.extend(alleged);
     for (&k, marked) in kept.iter().zip(&marked) {
         if *marked && has_outliers {
             out.suspicious[k] = Some(Suspicion::Outlier);

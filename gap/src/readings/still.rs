@@ -3,6 +3,7 @@
 
 use crate::search::Fit;
 use crate::setup::Setup;
+use crate::statistics::rank_among;
 
 /// Events from which their place tells anything.
 const FEWEST: usize = 3;
@@ -35,10 +36,7 @@ fn is_slower(speeds: &[f64], events: &[usize], all: &[usize]) -> bool {
     }
     let mut sorted: Vec<f64> = all.iter().map(|k| speeds[*k]).collect();
     sorted.sort_by(f64::total_cmp);
-    let rank = |k: &usize| {
-        let below = |most: bool| sorted.partition_point(|s| *s < speeds[*k] || (most && *s == speeds[*k]));
-        0.5 * (below(false) + below(true)) as f64 / sorted.len() as f64
-    };
+    let rank = |k: &usize| rank_among(&sorted, speeds[*k]) / sorted.len() as f64;
     let count = events.len() as f64;
     events.iter().map(rank).sum::<f64>() / count < 0.5 - SLOW / (12.0 * count).sqrt()
 }
