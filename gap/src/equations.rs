@@ -4,6 +4,7 @@
 //! changes, and a late reading is taken, at a time that carries its derivative by the delay: fractional delays are
 //! smooth, and no sample is interpolated.
 
+mod clipped;
 mod table;
 
 use std::sync::{Arc, OnceLock};
@@ -19,7 +20,8 @@ use crate::commands;
 use crate::experiment::Experiment;
 use crate::hypothesis::Slot;
 use crate::machine::{Drive, Field, Layout, Machine};
-use crate::simulator::{At, Event, Gradient, LANES, Motion, Run, Simulator, wrapped};
+use crate::simulator::{At, AtLimit, Event, Gradient, LANES, Motion, Run, Simulator};
+use clipped::Clipped;
 use table::{Table, table};
 
 /// Most states and fitted parameters together.
@@ -48,19 +50,6 @@ pub struct EquationsSimulator<'a> {
     noise: Vec<f64>,
 }
 
-/// An output whose sensor has limits.
-#[derive(Clone, Copy, Debug)]
-struct Clipped {
-    output: usize,
-    /// Where among the fields' outputs it stands without limits.
-    unclipped: usize,
-    /// How far from a limit a reading is not at it, in the output's unit; infinite where the noise is not known.
-    resting: f64,
-}
-
-/// Standard deviations of noise within which a reading is at a limit.
-const RESTING: f64 = 4.0;
-
 impl<'a> EquationsSimulator<'a> {
     /// The plant with the hypothesis' effects, what each entry of θ stands for, the recording, and the longest
     /// integration step (s).
@@ -86,10 +75,7 @@ impl<'a> EquationsSimulator<'a> {
         let (plain, events) = (OnceLock::new(), OnceLock::new());
         let extra_std = vec![1.0; plant.extra_states().len()];
         let outputs = experiment.wraps.len();
-        let limited = (0..outputs).filter(|output| plant.unclipped_program(*output).is_some()).enumerate();
-        let clipped = limited
-            .map(|(k, output)| Clipped { output, unclipped: outputs + k, resting: f64::INFINITY })
-            .collect();
+        let clipped = Clipped::all(&plant, outputs, &theta);
         let noise = vec![0.0; outputs];
         EquationsSimulator {
             plant,
@@ -111,9 +97,7 @@ impl<'a> EquationsSimulator<'a> {
     #[must_use]
     pub fn with_noise(mut self, noise: &[f64]) -> Self {
         self.noise = noise.to_vec();
-        for clipped in &mut self.clipped {
-            clipped.resting = RESTING * noise[clipped.output];
-        }
+        self.clipped.iter_mut().for_each(|clipped| clipped.learn(noise));
         self
     }
 
@@ -186,6 +170,7 @@ impl<'a> EquationsSimulator<'a> {
             table,
             scratch: Gradient::default(),
             unclipped: Gradient::default(),
+            at_limit: [None; LANES],
         })
     }
 }
@@ -253,6 +238,8 @@ struct EquationsRun<'a> {
     table: Arc<Table>,
     scratch: Gradient,
     unclipped: Gradient,
+    /// Where the readings last compared rest at a limit of which their prediction falls short.
+    at_limit: [Option<AtLimit>; LANES],
 }
 
 impl EquationsRun<'_> {
@@ -283,6 +270,14 @@ impl EquationsRun<'_> {
             }
         }
         self.machine.set_parameters(&lanes);
+    }
+
+    /// A parameter of the programs, as it is in a lane's recording.
+    fn parameter(&self, index: usize, lane: usize) -> f64 {
+        let fitted = self.simulator.slots.iter().any(|slot| position(&self.simulator.plant, slot) == index);
+        let parts = &self.simulator.experiment.parts;
+        let own = parts.get(self.loaded[lane] as usize).filter(|_| parts.len() > 1 && !fitted);
+        own.and_then(|part| part.parameters.get(index)).copied().unwrap_or(self.parameters[index])
     }
 
     /// Predicts the readings of the lanes' events, each output as `one` has it.
@@ -332,31 +327,9 @@ impl EquationsRun<'_> {
             };
             let Some(reading) = self.table.events[event].reading else { continue };
             value[lane] = reading.value - self.simulator.noise[reading.output];
+            self.at_limit[lane] = None;
             by.by.iter_mut().for_each(|by| by[lane] = 0.0);
         }
-        value
-    }
-
-    /// Predicts one output, held to its sensor's limits where the reading is at one.
-    fn within_limits(&mut self, output: usize, at: &At, motion: &Motion, by: &mut Gradient) -> F64x16 {
-        let mut value = self.machine.observe(output, &self.drive, motion, by);
-        let clipped = self.simulator.clipped.iter().find(|clipped| clipped.output == output);
-        let Some(clipped) = clipped.filter(|clipped| clipped.resting.is_finite()) else { return value };
-        let open = self.machine.observe(clipped.unclipped, &self.drive, motion, &mut self.unclipped);
-        let wrap = self.simulator.experiment.wraps[output];
-        for (lane, event) in at.iter().enumerate() {
-            let reading = event.and_then(|event| self.table.events[event].reading);
-            let Some(reading) = reading.filter(|reading| reading.output == output) else { continue };
-            let beyond = open[lane] - value[lane];
-            let inside = wrapped(value[lane] - reading.value, wrap) * beyond.signum() > clipped.resting;
-            if beyond != 0.0 && inside {
-                value[lane] = open[lane];
-                for (to, from) in by.by.iter_mut().zip(&self.unclipped.by) {
-                    to[lane] = from[lane];
-                }
-            }
-        }
-        by.live.extend(&self.unclipped.live);
         value
     }
 
@@ -438,7 +411,12 @@ impl Run for EquationsRun<'_> {
     }
 
     fn compare_lanes(&mut self, at: &At, motion: &Motion, by: &mut Gradient) -> F64x16 {
+        self.at_limit = [None; LANES];
         self.predict(at, by, |run, output, by| run.compared(output, at, motion, by))
+    }
+
+    fn at_limits(&self) -> At<AtLimit> {
+        self.at_limit
     }
 
     fn wrap(&self, output: usize) -> Option<f64> {

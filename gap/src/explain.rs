@@ -199,10 +199,7 @@ const LEAST: f64 = 4.0;
 
 /// What each reading costs under a filter, by output and stamp.
 fn costs(pass: &Pass) -> BTreeMap<(usize, u64), f64> {
-    let readings = pass.innovation.iter().zip(&pass.variance).zip(pass.output.iter().zip(&pass.stamp));
-    readings
-        .map(|((e, v), (output, stamp))| ((*output, stamp.to_bits()), e * e / v + v.max(1e-300).ln()))
-        .collect()
+    (0..pass.readings()).map(|k| ((pass.output[k], pass.stamp[k].to_bits()), pass.cost_of(k))).collect()
 }
 
 fn worse(setup: &Setup, null: &Fit, fit: &Fit, winner: &Fit) -> Vec<Worse> {

@@ -9,6 +9,7 @@
 //!
 //! Stretches of the log are walked side by side, one on each lane.
 
+mod censored;
 mod chain;
 mod lanes;
 mod likelihood;
@@ -24,6 +25,7 @@ use parallax_model::lanes::{F64x16, Level};
 
 use crate::lockstep::{self, Lockstep, Stretch};
 use crate::simulator::{Gradient, LANES, Motion, Run, wrapped};
+use censored::Beyond;
 use chain::Probe;
 pub(crate) use chain::{Chain, Link};
 use lanes::{Covariance, Pattern, Read};
@@ -81,6 +83,9 @@ pub struct Pass {
     pub state: Vec<f64>,
     /// Which readings the likelihood is of; the others are given.
     weighs: Vec<bool>,
+    /// What the −2 log likelihood of each reading is more than that of its innovation: zero but for readings at a limit of their sensor
+    /// that only show the state beyond it.
+    beyond: Vec<f64>,
     tapes: Vec<Tape>,
 }
 
@@ -112,6 +117,8 @@ enum Tick {
         innovation: F64x16,
         output: [u8; LANES],
         weighs: F64x16,
+        /// The variance of its noise where that is not its output's, otherwise zero.
+        own: F64x16,
     },
 }
 
@@ -170,6 +177,7 @@ struct Found {
     event: Vec<usize>,
     state: Vec<f64>,
     weighs: Vec<bool>,
+    beyond: Vec<f64>,
 }
 
 impl Found {
@@ -183,6 +191,7 @@ impl Found {
             event: Vec::with_capacity(readings),
             state: Vec::with_capacity(readings * states),
             weighs: Vec::with_capacity(readings),
+            beyond: Vec::with_capacity(readings),
         }
     }
 
@@ -208,6 +217,7 @@ impl Found {
             event: order.iter().map(|k| self.event[*k]).collect(),
             state: rows(&self.state),
             weighs: order.iter().map(|k| self.weighs[*k]).collect(),
+            beyond: rows(&self.beyond),
         }
     }
 }
@@ -258,6 +268,11 @@ fn walk_group(
             }
             let (mut innovation, mut noise, mut active, mut weighs) = (zero, zero, zero, zero);
             let mut output = [NOTHING; LANES];
+            let (mut own, mut beyond) = (zero, [None; LANES]);
+            let seen = tape.seen.len();
+            tape.seen.extend(row.live.iter().take_while(|state| *state < n));
+            let seen = seen..tape.seen.len();
+            let at_limits = run.at_limits();
             for (lane, start) in group.iter().enumerate() {
                 let Some(reading) = reads[lane].and_then(|index| run.events()[index].reading) else {
                     continue;
@@ -267,10 +282,18 @@ fn walk_group(
                 active[lane] = 1.0;
                 weighs[lane] = f64::from(u8::from(reading.stamp >= start.weighs_from));
                 output[lane] = reading.output as u8;
+                let Some(limit) = at_limits[lane] else { continue };
+                let known = variance_of(&tape.seen[seen.clone()], &row, &covariance, n, lane);
+                let short = (limit.level - value[lane]) * limit.side;
+                let Some(found) = Beyond::of(short, known, noise[lane]) else { continue };
+                let rest = reading.value - limit.level;
+                beyond[lane] = Some(found.cost + rest * rest / noise[lane] + noise[lane].ln());
+                innovation[lane] = found.innovation * limit.side;
+                (noise[lane], own[lane], weighs[lane]) = (found.noise, found.noise, 0.0);
+                if let Some(column) = limit.column {
+                    row.by[n + column][lane] -= 1.0;
+                }
             }
-            let seen = tape.seen.len();
-            tape.seen.extend(row.live.iter().take_while(|state| *state < n));
-            let seen = seen..tape.seen.len();
             let spread = Level::widest().run(Read {
                 row: &row,
                 seen: &tape.seen[seen.clone()],
@@ -289,7 +312,9 @@ fn walk_group(
                 if reading.stamp < start.counts_from {
                     continue;
                 }
-                found.weighs.push(weighs[lane] != 0.0);
+                let of_innovation = innovation[lane] * innovation[lane] / spread[lane] + spread[lane].ln();
+                found.weighs.push(reading.stamp >= start.weighs_from);
+                found.beyond.push(beyond[lane].map_or(0.0, |cost| cost - of_innovation));
                 found.innovation.push(innovation[lane]);
                 found.variance.push(spread[lane]);
                 found.by_parameter.extend(row.by[n..].iter().map(|d| -d[lane]));
@@ -304,7 +329,7 @@ fn walk_group(
             let by_state = tape.numbers.len();
             tape.numbers.extend_from_slice(&row.by[..n]);
             tape.numbers.extend_from_slice(&gain);
-            tape.ticks.push(Tick::Read { by_state, seen, gain: by_state + n, innovation, output, weighs });
+            tape.ticks.push(Tick::Read { by_state, seen, gain: by_state + n, innovation, output, weighs, own });
         }
         if let lockstep::Tick::Advance(steps) = tick {
             let mut dt = zero;
@@ -352,8 +377,17 @@ fn walk_group(
         pass.event.append(&mut found.event);
         pass.state.append(&mut found.state);
         pass.weighs.append(&mut found.weighs);
+        pass.beyond.append(&mut found.beyond);
     }
     pass.tapes.push(tape);
+}
+
+/// What the filter takes the variance of a prediction to be on one lane, from that of the states that it depends on.
+fn variance_of(seen: &[usize], row: &Gradient, covariance: &[F64x16], states: usize, lane: usize) -> f64 {
+    let by = |state: usize| row.by[state][lane];
+    seen.iter()
+        .flat_map(|i| seen.iter().map(move |j| by(*i) * by(*j) * covariance[i * states + j][lane]))
+        .sum()
 }
 
 /// Process noise of each state; states beyond the nominal ones get none.
@@ -373,8 +407,14 @@ impl Pass {
     /// −2 log of the likelihood, up to a constant that is the same for every hypothesis on these readings.
     #[must_use]
     pub fn cost(&self) -> f64 {
-        let all = self.innovation.iter().zip(&self.variance).zip(&self.weighs);
-        all.filter(|(_, weighs)| **weighs).map(|((e, s), _)| e * e / s + s.ln()).sum()
+        (0..self.readings()).filter(|k| self.weighs[*k]).map(|k| self.cost_of(k)).sum()
+    }
+
+    /// The same of one reading, whether or not the likelihood is of it.
+    #[must_use]
+    pub fn cost_of(&self, reading: usize) -> f64 {
+        let (e, s) = (self.innovation[reading], self.variance[reading]);
+        e * e / s + s.ln() + self.beyond[reading]
     }
 
     /// How many readings were predicted.

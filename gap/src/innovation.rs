@@ -8,7 +8,7 @@ use crate::fit::{Local, Minimum, minimise, prior_cost};
 use crate::guess::Guess;
 use crate::hypothesis::Hypothesis;
 use crate::shooting::{lateness, locate};
-use crate::simulator::{LANES, Run, Simulator};
+use crate::simulator::{LANES, Reading, Run, Simulator};
 
 /// A stretch of a recording, and the states guessed at its start.
 #[derive(Clone, Debug)]
@@ -32,13 +32,32 @@ pub struct NoiseModel {
     pub process_floor: f64,
     /// Where to start.
     pub initial: Noise,
+    /// Levels at which each output's readings rest, as those of a sensor do at its limits: at their lower end and at their upper one.
+    pub resting: Vec<[Option<f64>; 2]>,
 }
+
+/// Standard deviations of noise within which a reading rests at a level.
+const RESTS: f64 = 4.0;
 
 impl NoiseModel {
     /// Whether several states share the process noise.
     #[must_use]
     pub fn is_shared(&self) -> bool {
         self.scale.iter().filter(|scale| **scale > 0.0).count() > 1
+    }
+
+    /// Whether readings, each with its output, tell hardly anything of the state because a sensor is at its limit.
+    #[must_use]
+    pub fn is_blind(&self, readings: impl Iterator<Item = (usize, f64)> + Clone) -> bool {
+        self.resting.iter().enumerate().filter(|(_, levels)| levels.iter().any(Option::is_some)).any(
+            |(output, levels)| {
+                let noise = (0.5 * self.initial.log_output[output]).exp();
+                let rests =
+                    |value: f64| levels.iter().flatten().any(|level| (value - level).abs() <= RESTS * noise);
+                let shows = readings.clone().filter(|(of, value)| *of == output && !rests(*value));
+                shows.count() < SETTLING_READINGS
+            },
+        )
     }
 }
 
@@ -81,7 +100,13 @@ const SAME: f64 = 0.1;
 
 /// Cuts segments into stretches that can be walked side by side. A filter forgets where it began; the first readings of
 /// each stretch, which the one before it has counted already, tell it the state.
-fn stretches(simulator: &dyn Simulator, run: &dyn Run, segments: &[Segment], outputs: usize) -> Vec<Start> {
+fn stretches(
+    simulator: &dyn Simulator,
+    run: &dyn Run,
+    segments: &[Segment],
+    model: &NoiseModel,
+) -> Vec<Start> {
+    let outputs = model.limits.len();
     let late = lateness(run.events());
     let found: Vec<(&Segment, usize, usize)> = segments
         .iter()
@@ -90,26 +115,34 @@ fn stretches(simulator: &dyn Simulator, run: &dyn Run, segments: &[Segment], out
             Some((s, first, end))
         })
         .collect();
-    let stamps: Vec<Vec<f64>> = found
+    let readings: Vec<Vec<Reading>> = found
         .iter()
         .map(|(segment, first, end)| {
             let readings = run.events()[*first..*end].iter().filter_map(|e| e.reading);
             // A late sensor shows others in between.
-            readings.map(|r| r.stamp).filter(|s| (segment.from..segment.to).contains(s)).collect()
+            readings.filter(|r| (segment.from..segment.to).contains(&r.stamp)).collect()
         })
         .collect();
     let settling = SETTLED * SETTLING_READINGS * outputs;
-    let total: usize = stamps.iter().map(Vec::len).sum();
+    let total: usize = readings.iter().map(Vec::len).sum();
     let mut starts = Vec::new();
-    for ((segment, first, end), mut stamps) in found.into_iter().zip(stamps) {
+    for ((segment, first, end), mut readings) in found.into_iter().zip(readings) {
         // In the order of stamps, not of events: the cuts must not depend on a delay under trial.
-        stamps.sort_by(f64::total_cmp);
+        readings.sort_by(|a, b| a.stamp.total_cmp(&b.stamp));
+        let stamps: Vec<f64> = readings.iter().map(|r| r.stamp).collect();
         let lanes = LANES * segments.len().div_ceil(LANES);
         let spare = lanes.saturating_sub(segments.len());
         let pieces = (1 + spare * stamps.len() / total.max(1)).min(stamps.len() / (3 * settling)).max(1);
+        let mut cuts: Vec<usize> = (0..=pieces).map(|piece| stamps.len() * piece / pieces).collect();
+        // Readings at a sensor's limit do not tell the state.
+        cuts.retain(|at| {
+            let told = at.checked_sub(settling).map(|from| &readings[from..*at]);
+            *at == stamps.len()
+                || told.is_none_or(|told| !model.is_blind(told.iter().map(|r| (r.output, r.value))))
+        });
+        let pieces = cuts.len() - 1;
         for piece in 0..pieces {
-            let at = stamps.len() * piece / pieces;
-            let next = stamps.len() * (piece + 1) / pieces;
+            let (at, next) = (cuts[piece], cuts[piece + 1]);
             let counts_from = if piece == 0 { segment.from } else { stamps[at] };
             // What a segment's first readings tell is the state, whatever states a hypothesis has.
             let told = settling.min(stamps.len() / 4);
@@ -156,7 +189,7 @@ fn walk_along(
     model: &NoiseModel,
     noise: &Noise,
 ) -> Pass {
-    let starts = stretches(simulator, run, segments, model.limits.len());
+    let starts = stretches(simulator, run, segments, model);
     let parameters = run.parameters();
     filter(run, &starts, simulator.states(), parameters, &model.scale, noise)
 }

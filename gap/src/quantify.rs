@@ -48,8 +48,8 @@ impl Row {
 
 /// Predicts the held-out segments.
 ///
-/// The filter runs up to each start, from two horizons before the segment where the log allows; from there the
-/// model runs free to the horizon. Starts follow each other by one horizon, so that every reading is predicted once.
+/// The filter runs up to each start, from two horizons before the segment where the log allows, or from where a sensor that is at its
+/// limit last showed more; from there the model runs free to the horizon. Starts follow each other by one horizon, so that every reading is predicted once.
 #[must_use]
 pub fn predict(setup: &Setup, simulator: &dyn Simulator, theta: &[f64], noise: &Noise) -> Row {
     let mut row = Row::default();
@@ -100,13 +100,28 @@ pub(crate) fn starts(
 ) -> impl Iterator<Item = (Segment, impl Iterator<Item = f64> + use<>)> + '_ {
     let (horizon, (begin, _)) = (setup.horizon, setup.experiment.span());
     setup.test.iter().map(move |segment| {
-        let from = (segment.from - 2.0 * horizon).max(begin);
+        let mut from = (segment.from - 2.0 * horizon).max(begin);
+        let parts = setup.experiment.spans().into_iter();
+        let own = parts.map(|(first, _)| first).filter(|first| *first <= from).fold(begin, f64::max);
+        while from > own && segment.from - from < BLIND * horizon && is_blind(setup, from, segment.from) {
+            from = (from - horizon).max(own);
+        }
         // The filter needs readings before the first start, or it knows no speed.
         let (first, end) = (segment.from.max(from + horizon), segment.to);
         let starts = std::iter::successors(Some(first), move |start| Some(start + horizon))
             .take_while(move |start| start + 0.5 * horizon < end);
         (Segment { from, ..segment.clone() }, starts)
     })
+}
+
+/// How many horizons before a segment a filter enters it at the earliest.
+const BLIND: f64 = 20.0;
+
+/// Whether some sensor is at its limit nearly all the time between two times.
+fn is_blind(setup: &Setup, from: f64, to: f64) -> bool {
+    let samples = &setup.experiment.samples;
+    let at = |time: f64| samples.partition_point(|s| s.stamp < time);
+    setup.noise.is_blind(samples[at(from)..at(to)].iter().map(|s| (s.output, s.value)))
 }
 
 /// Halves the integration step until that changes the nominal system's predictions by far less than the noise.

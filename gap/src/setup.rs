@@ -11,6 +11,7 @@ use crate::filter::{Noise, Pass};
 use crate::guess::{Guess, kinematic};
 use crate::innovation::{NoiseModel, Segment, walk};
 use crate::noise;
+use crate::readings;
 use crate::simulator::Simulator;
 use crate::spectrum;
 use crate::statistics::{root_mean_square, standard_deviation};
@@ -188,7 +189,14 @@ impl Setup {
             .collect();
         let initial =
             Noise { log_process: 0.0, log_output: output_noise.iter().map(|s| 2.0 * s.ln()).collect() };
-        let noise = NoiseModel { scale, limits, process_floor: -60.0, initial };
+        let resting = (0..outputs)
+            .map(|o| {
+                let readings = experiment.output(o).1;
+                let at = |upper| readings::limit(&readings, output_noise[o], upper).level;
+                if experiment.wraps[o].is_some() { [None; 2] } else { [at(false), at(true)] }
+            })
+            .collect();
+        let noise = NoiseModel { scale, limits, process_floor: -60.0, initial, resting };
         let input_range = experiment.inputs.iter().map(|h| Range::of(&h.values)).collect();
         let output_range = (0..outputs)
             .map(|o| Range::of(&noise::unwrapped(&experiment.output(o).1, experiment.wraps[o])))

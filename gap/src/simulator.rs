@@ -132,8 +132,19 @@ impl Motion {
     }
 }
 
-/// Which event each lane is at; a lane without one rests.
-pub type At = [Option<usize>; LANES];
+/// What there is of each lane; usually which event it is at. A lane without one rests.
+pub type At<T = usize> = [Option<T>; LANES];
+
+/// A limit of a sensor at which a reading rests, while the state is predicted within: what it shows is that the state lies beyond.
+#[derive(Clone, Copy, Debug)]
+pub struct AtLimit {
+    /// The limit, in the output's unit.
+    pub level: f64,
+    /// 1 of an upper limit, −1 of a lower one.
+    pub side: f64,
+    /// The entry of θ that it is, if it is fitted.
+    pub column: Option<usize>,
+}
 
 /// How many stretches are walked at once.
 pub const LANES: usize = F64x16::LANES;
@@ -158,6 +169,11 @@ pub trait Run {
     /// beyond the limit is wrong by all of its distance.
     fn compare_lanes(&mut self, at: &At, motion: &Motion, by: &mut Gradient) -> F64x16 {
         self.observe_lanes(at, motion, by)
+    }
+    /// Where readings that [`compare_lanes`](Run::compare_lanes) was last asked for rest at a limit of which their predictions fall
+    /// short.
+    fn at_limits(&self) -> At<AtLimit> {
+        [None; LANES]
     }
     /// The period of an output that is an angle (2π in rad), if it wraps.
     fn wrap(&self, output: usize) -> Option<f64>;

@@ -77,19 +77,20 @@ impl Kernel for Likelihood<'_> {
                         propagate(pattern, phi, dt, own, by_p, &mut scratch);
                     }
                 }
-                Tick::Read { by_state, seen, gain: stored, innovation, output, weighs } => {
+                Tick::Read { by_state, seen, gain: stored, innovation, output, weighs, own } => {
                     let (mut noise, mut read) = (F64x16::splat(1.0), F64x16::splat(-1.0));
                     for lane in (0..LANES).filter(|lane| output[*lane] != NOTHING) {
-                        noise[lane] = self.output[output[lane] as usize];
+                        noise[lane] = if own[lane] > 0.0 { 0.0 } else { self.output[output[lane] as usize] };
                         read[lane] = f64::from(output[lane]);
                     }
+                    let own = <F64x16 as InMemory>::load::<S>(own);
                     let noise = <F64x16 as InMemory>::load::<S>(&noise);
                     let read = <F64x16 as InMemory>::load::<S>(&read);
                     let rests = read.eq(zero - 1.0);
                     let recorded = <F64x16 as InMemory>::load::<S>(innovation);
                     let h = &numbers[*by_state..*by_state + n];
                     let seen = &self.tape.seen[seen.clone()];
-                    let variance = innovate(seen, h, noise, rests, &p, &mut gain);
+                    let variance = innovate(seen, h, noise + own, rests, &p, &mut gain);
                     let inverse = (zero + 1.0) / variance;
                     let mut innovation = recorded;
                     for &i in seen {
