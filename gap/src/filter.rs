@@ -125,6 +125,9 @@ enum Tick {
 /// Blocks of readings whose scores count as independent.
 const BLOCKS: usize = 60;
 
+/// Share of the variance at the start of a stretch from which a prediction is hardly known better than there.
+const UNKNOWN: f64 = 0.01;
+
 /// A lane that reads nothing.
 const NOTHING: u8 = u8::MAX;
 
@@ -283,10 +286,21 @@ fn walk_group(
                 weighs[lane] = f64::from(u8::from(reading.stamp >= start.weighs_from));
                 output[lane] = reading.output as u8;
                 let Some(limit) = at_limits[lane] else { continue };
-                let known = variance_of(&tape.seen[seen.clone()], &row, &covariance, n, lane);
+                let states = &tape.seen[seen.clone()];
+                let known = variance_of(states, &row, lane, |i, j| covariance[i * n + j][lane]);
+                let ignorance = |i: usize, j: usize| if i == j { tape.start_variance[i][lane] } else { 0.0 };
+                let rest = reading.value - limit.level;
+                if known > UNKNOWN * variance_of(states, &row, lane, ignorance) {
+                    // That a state of which nothing is known lies beyond says nothing of where it is.
+                    row.by.iter_mut().for_each(|by| by[lane] = 0.0);
+                    if let Some(column) = limit.column {
+                        row.by[n + column][lane] = 1.0;
+                    }
+                    innovation[lane] = rest;
+                    continue;
+                }
                 let short = (limit.level - value[lane]) * limit.side;
                 let Some(found) = Beyond::of(short, known, noise[lane]) else { continue };
-                let rest = reading.value - limit.level;
                 beyond[lane] = Some(found.cost + rest * rest / noise[lane] + noise[lane].ln());
                 innovation[lane] = found.innovation * limit.side;
                 (noise[lane], own[lane], weighs[lane]) = (found.noise, found.noise, 0.0);
@@ -382,12 +396,15 @@ fn walk_group(
     pass.tapes.push(tape);
 }
 
-/// What the filter takes the variance of a prediction to be on one lane, from that of the states that it depends on.
-fn variance_of(seen: &[usize], row: &Gradient, covariance: &[F64x16], states: usize, lane: usize) -> f64 {
-    let by = |state: usize| row.by[state][lane];
-    seen.iter()
-        .flat_map(|i| seen.iter().map(move |j| by(*i) * by(*j) * covariance[i * states + j][lane]))
-        .sum()
+/// The variance of a prediction on one lane, by the covariances of the states that it depends on.
+fn variance_of(
+    states: &[usize],
+    row: &Gradient,
+    lane: usize,
+    covariance: impl Fn(usize, usize) -> f64,
+) -> f64 {
+    let all = states.iter().flat_map(|i| states.iter().map(move |j| (*i, *j)));
+    all.map(|(i, j)| row.by[i][lane] * row.by[j][lane] * covariance(i, j)).sum()
 }
 
 /// Process noise of each state; states beyond the nominal ones get none.
