@@ -343,7 +343,15 @@ fn walk_group(
             let by_state = tape.numbers.len();
             tape.numbers.extend_from_slice(&row.by[..n]);
             tape.numbers.extend_from_slice(&gain);
-            tape.ticks.push(Tick::Read { by_state, seen, gain: by_state + n, innovation, output, weighs, own });
+            tape.ticks.push(Tick::Read {
+                by_state,
+                seen,
+                gain: by_state + n,
+                innovation,
+                output,
+                weighs,
+                own,
+            });
         }
         if let lockstep::Tick::Advance(steps) = tick {
             let mut dt = zero;

@@ -89,13 +89,6 @@ impl Look {
 
 /// The times at which the commands of one input acted under a hypothesis.
 pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> Option<Acted> {
-    if std::env::var("DBGL").is_ok() {
-        let pass = &base.innovation.pass;
-        let mut w: Vec<(f64, f64, usize, f64, f64)> = (0..pass.readings()).map(|k| (pass.innovation[k] / pass.variance[k].sqrt(), pass.stamp[k], pass.output[k], pass.innovation[k], pass.variance[k].sqrt())).collect();
-        w.sort_by(|a, b| b.0.abs().total_cmp(&a.0.abs()));
-        eprintln!("{} {:?} {:?} err {} input {input}", base.hypothesis.label(), base.theta(), base.innovation.noise, base.shooting_error);
-        for x in w.iter().take(30) { eprintln!("   {x:?}"); }
-    }
     let recorded = &setup.experiment.inputs[input];
     let mut between: Vec<f64> = recorded.times.windows(2).map(|t| t[1] - t[0]).collect();
     if between.is_empty() {
