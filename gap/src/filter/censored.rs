@@ -20,7 +20,7 @@ pub(super) struct Beyond {
 }
 
 /// Standard deviations from where on the asymptotic series is closer than the difference of nearly equal numbers.
-const FAR: f64 = 8.0;
+const FAR: f64 = 30.0;
 
 impl Beyond {
     /// Of a quantity of variance P = `variance` that is predicted `short` > 0 of the limit; nothing where a reading with noise of
@@ -73,7 +73,7 @@ mod tests {
 
     #[test]
     fn a_state_behind_a_limit_is_known_as_a_gaussian_cut_off_there() {
-        for alpha in [0.01, 0.5, 2.0, 5.0, 7.9, 8.1, 20.0] {
+        for alpha in [0.01, 0.5, 2.0, 5.0, 20.0, 29.9, 30.1] {
             let (mean, variance) = cut(alpha);
             let std: f64 = 0.3;
             let beyond = Beyond::of(alpha * std, std * std, 1e-9).unwrap();
@@ -86,7 +86,7 @@ mod tests {
 
     #[test]
     fn its_innovation_is_the_slope_of_its_cost() {
-        for alpha in [0.1, 1.0, 6.0, 12.0] {
+        for alpha in [0.1, 1.0, 6.0, 29.0, 35.0] {
             let (std, step): (f64, f64) = (0.3, 1e-5);
             let at = |alpha: f64| Beyond::of(alpha * std, std * std, 1e-9).unwrap();
             let slope = (at(alpha + step).cost - at(alpha - step).cost) / (2.0 * step * std);
