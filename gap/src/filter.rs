@@ -11,6 +11,7 @@
 
 mod censored;
 mod chain;
+mod found;
 mod lanes;
 mod likelihood;
 mod mend;
@@ -25,9 +26,10 @@ use parallax_model::lanes::{F64x16, Level};
 
 use crate::lockstep::{self, Lockstep, Stretch};
 use crate::simulator::{Gradient, LANES, Motion, Run, wrapped};
-use censored::Beyond;
+use censored::{Beyond, UNKNOWN, variance_of};
 use chain::Probe;
 pub(crate) use chain::{Chain, Link};
+use found::Found;
 use lanes::{Covariance, Pattern, Read};
 use likelihood::Likelihood;
 pub use uncertainty::Uncertainty;
@@ -117,16 +119,13 @@ enum Tick {
         innovation: F64x16,
         output: [u8; LANES],
         weighs: F64x16,
-        /// The variance of its noise where that is not its output's, otherwise zero.
-        own: F64x16,
+        /// The variance of its noise in lanes where that is not its output's, otherwise zero; nothing where no lane has one.
+        own: Option<Box<F64x16>>,
     },
 }
 
 /// Blocks of readings whose scores count as independent.
 const BLOCKS: usize = 60;
-
-/// Share of the variance at the start of a stretch from which a prediction is hardly known better than there.
-const UNKNOWN: f64 = 0.01;
 
 /// A lane that reads nothing.
 const NOTHING: u8 = u8::MAX;
@@ -167,62 +166,6 @@ pub(crate) fn chains(
         found.extend(probe.chains);
     }
     found
-}
-
-/// What one lane found, in the order of its readings.
-#[derive(Clone, Debug, Default)]
-struct Found {
-    innovation: Vec<f64>,
-    variance: Vec<f64>,
-    by_parameter: Vec<f64>,
-    output: Vec<usize>,
-    stamp: Vec<f64>,
-    event: Vec<usize>,
-    state: Vec<f64>,
-    weighs: Vec<bool>,
-    beyond: Vec<f64>,
-}
-
-impl Found {
-    fn with_room(readings: usize, states: usize, parameters: usize) -> Self {
-        Found {
-            innovation: Vec::with_capacity(readings),
-            variance: Vec::with_capacity(readings),
-            by_parameter: Vec::with_capacity(readings * parameters),
-            output: Vec::with_capacity(readings),
-            stamp: Vec::with_capacity(readings),
-            event: Vec::with_capacity(readings),
-            state: Vec::with_capacity(readings * states),
-            weighs: Vec::with_capacity(readings),
-            beyond: Vec::with_capacity(readings),
-        }
-    }
-
-    /// The readings in the order of their stamps and outputs: the same for every hypothesis, whatever delays it has.
-    fn in_order(self) -> Self {
-        let mut order: Vec<usize> = (0..self.stamp.len()).collect();
-        let key = |k: usize| (self.stamp[k], self.output[k]);
-        let sorted = |a: usize, b: usize| key(a).0.total_cmp(&key(b).0).then(key(a).1.cmp(&key(b).1));
-        if order.windows(2).all(|pair| sorted(pair[0], pair[1]).is_le()) {
-            return self;
-        }
-        order.sort_by(|a, b| sorted(*a, *b));
-        let rows = |of: &[f64]| {
-            let width = of.len() / order.len();
-            order.iter().flat_map(|k| of[k * width..(k + 1) * width].iter().copied()).collect()
-        };
-        Found {
-            innovation: rows(&self.innovation),
-            variance: rows(&self.variance),
-            by_parameter: rows(&self.by_parameter),
-            output: order.iter().map(|k| self.output[*k]).collect(),
-            stamp: rows(&self.stamp),
-            event: order.iter().map(|k| self.event[*k]).collect(),
-            state: rows(&self.state),
-            weighs: order.iter().map(|k| self.weighs[*k]).collect(),
-            beyond: rows(&self.beyond),
-        }
-    }
 }
 
 fn walk_group(
@@ -350,7 +293,7 @@ fn walk_group(
                 innovation,
                 output,
                 weighs,
-                own,
+                own: beyond.iter().any(Option::is_some).then(|| Box::new(own)),
             });
         }
         if let lockstep::Tick::Advance(steps) = tick {
@@ -402,17 +345,6 @@ fn walk_group(
         pass.beyond.append(&mut found.beyond);
     }
     pass.tapes.push(tape);
-}
-
-/// The variance of a prediction on one lane, by the covariances of the states that it depends on.
-fn variance_of(
-    states: &[usize],
-    row: &Gradient,
-    lane: usize,
-    covariance: impl Fn(usize, usize) -> f64,
-) -> f64 {
-    let all = states.iter().flat_map(|i| states.iter().map(move |j| (*i, *j)));
-    all.map(|(i, j)| row.by[i][lane] * row.by[j][lane] * covariance(i, j)).sum()
 }
 
 /// Process noise of each state; states beyond the nominal ones get none.

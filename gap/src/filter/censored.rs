@@ -8,6 +8,8 @@ use std::f64::consts::TAU;
 
 use parallax_runtime::delay::special::normal_cdf;
 
+use crate::simulator::Gradient;
+
 /// A reading that has the same effect on mean and variance of the state as the knowledge that a quantity x ~ N(m, P) lies beyond a limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Beyond {
@@ -50,6 +52,20 @@ impl Beyond {
         // Beyond the limit against within it: Φ(−α) N(reading; limit, noise), or N(reading; m, P + noise).
         (variance > noise * lambda * lambda && found.noise.is_finite()).then_some(found)
     }
+}
+
+/// Share of the variance at the start of a stretch from which a prediction is hardly known better than there.
+pub(super) const UNKNOWN: f64 = 0.01;
+
+/// The variance of a prediction on one lane, by the covariances of the states that it depends on.
+pub(super) fn variance_of(
+    states: &[usize],
+    row: &Gradient,
+    lane: usize,
+    covariance: impl Fn(usize, usize) -> f64,
+) -> f64 {
+    let all = states.iter().flat_map(|i| states.iter().map(move |j| (*i, *j)));
+    all.map(|(i, j)| row.by[i][lane] * row.by[j][lane] * covariance(i, j)).sum()
 }
 
 #[cfg(test)]

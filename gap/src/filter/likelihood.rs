@@ -79,11 +79,12 @@ impl Kernel for Likelihood<'_> {
                 }
                 Tick::Read { by_state, seen, gain: stored, innovation, output, weighs, own } => {
                     let (mut noise, mut read) = (F64x16::splat(1.0), F64x16::splat(-1.0));
+                    let own = own.as_deref().copied().unwrap_or(F64x16::splat(0.0));
                     for lane in (0..LANES).filter(|lane| output[*lane] != NOTHING) {
                         noise[lane] = if own[lane] > 0.0 { 0.0 } else { self.output[output[lane] as usize] };
                         read[lane] = f64::from(output[lane]);
                     }
-                    let own = <F64x16 as InMemory>::load::<S>(own);
+                    let own = <F64x16 as InMemory>::load::<S>(&own);
                     let noise = <F64x16 as InMemory>::load::<S>(&noise);
                     let read = <F64x16 as InMemory>::load::<S>(&read);
                     let rests = read.eq(zero - 1.0);
