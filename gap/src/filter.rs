@@ -233,17 +233,11 @@ fn walk_group(
                 let known = variance_of(states, &row, lane, |i, j| covariance[i * n + j][lane]);
                 let ignorance = |i: usize, j: usize| if i == j { tape.start_variance[i][lane] } else { 0.0 };
                 let rest = reading.value - limit.level;
-                if known > UNKNOWN * variance_of(states, &row, lane, ignorance) {
-                    // That a state of which nothing is known lies beyond says nothing of where it is.
-                    row.by.iter_mut().for_each(|by| by[lane] = 0.0);
-                    if let Some(column) = limit.column {
-                        row.by[n + column][lane] = 1.0;
-                    }
-                    innovation[lane] = rest;
-                    continue;
-                }
                 let short = (limit.level - value[lane]) * limit.side;
-                let Some(found) = Beyond::of(short, known, noise[lane]) else { continue };
+                let Some(mut found) = Beyond::of(short, known, noise[lane]) else { continue };
+                if known > UNKNOWN * variance_of(states, &row, lane, ignorance) {
+                    found = found.at_the_limit(short, known);
+                }
                 beyond[lane] = Some(found.cost + rest * rest / noise[lane] + noise[lane].ln());
                 innovation[lane] = found.innovation * limit.side;
                 (noise[lane], own[lane], weighs[lane]) = (found.noise, found.noise, 0.0);

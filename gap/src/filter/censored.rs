@@ -52,10 +52,16 @@ impl Beyond {
         // Beyond the limit against within it: Φ(−α) N(reading; limit, noise), or N(reading; m, P + noise).
         (variance > noise * lambda * lambda && found.noise.is_finite()).then_some(found)
     }
+
+    /// The same of a quantity of which nothing is known yet: the mean goes to the limit and no further. A variance that only says so
+    /// would throw it far beyond, where the linearised model leads astray.
+    pub(super) fn at_the_limit(self, short: f64, variance: f64) -> Beyond {
+        Beyond { innovation: short * (variance + self.noise) / variance, ..self }
+    }
 }
 
 /// Share of the variance at the start of a stretch from which a prediction is hardly known better than there.
-pub(super) const UNKNOWN: f64 = 0.01;
+pub(super) const UNKNOWN: f64 = 0.25;
 
 /// The variance of a prediction on one lane, by the covariances of the states that it depends on.
 pub(super) fn variance_of(
