@@ -25,7 +25,7 @@ const RATE: f64 = 100.0;
 fn diagnosed(limit: f64, acts: impl Fn(f64) -> f64) -> Report {
     const STEPS: u32 = 100;
     // Those at its limit are overshot.
-    let places = [0.048, -0.05, 0.04, 0.049, 0.02, -0.1, 0.045, -0.03, 0.048, 0.0];
+    let places = [0.048, -0.05, 0.04, 0.049, 0.02, -0.1, 0.045, -0.03, 0.048, 0.0, -0.08, 0.04, 0.049, -0.06];
     let mut random = ChaCha8Rng::seed_from_u64(23);
     let (mut held, mut samples) = (Held::default(), Vec::new());
     let (mut q, mut v, mut seen, mut speed) = (0.0_f64, 0.0_f64, 0.0, 0.0);
@@ -36,8 +36,8 @@ fn diagnosed(limit: f64, acts: impl Fn(f64) -> f64) -> Report {
         samples.push(Sample { stamp, output: 0, value: read });
         speed += 0.2 * ((read - seen) * RATE - speed);
         seen = read;
-        let goal = places[(k / 200) as usize];
-        let push = (40.0 * (goal - read) - speed).clamp(-3.0, 3.0);
+        let goal = places[(k / 140) as usize % places.len()];
+        let push = (40.0 * (goal - read) - 3.0 * speed).clamp(-3.0, 3.0);
         held.times.push(stamp);
         held.values.push(push);
         let step = 1.0 / RATE / f64::from(STEPS);
