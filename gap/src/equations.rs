@@ -272,14 +272,6 @@ impl EquationsRun<'_> {
         self.machine.set_parameters(&lanes);
     }
 
-    /// A parameter of the programs, as it is in a lane's recording.
-    fn parameter(&self, index: usize, lane: usize) -> f64 {
-        let fitted = self.simulator.slots.iter().any(|slot| position(&self.simulator.plant, slot) == index);
-        let parts = &self.simulator.experiment.parts;
-        let own = parts.get(self.loaded[lane] as usize).filter(|_| parts.len() > 1 && !fitted);
-        own.and_then(|part| part.parameters.get(index)).copied().unwrap_or(self.parameters[index])
-    }
-
     /// Predicts the readings of the lanes' events, each output as `one` has it.
     fn predict(
         &mut self,

@@ -263,9 +263,9 @@ fn walk_group(
                 if reading.stamp < start.counts_from {
                     continue;
                 }
-                let of_innovation = innovation[lane] * innovation[lane] / spread[lane] + spread[lane].ln();
+                let of_innovation = || innovation[lane] * innovation[lane] / spread[lane] + spread[lane].ln();
                 found.weighs.push(reading.stamp >= start.weighs_from);
-                found.beyond.push(beyond[lane].map_or(0.0, |cost| cost - of_innovation));
+                found.beyond.push(beyond[lane].map_or(0.0, |cost| cost - of_innovation()));
                 found.innovation.push(innovation[lane]);
                 found.variance.push(spread[lane]);
                 found.by_parameter.extend(row.by[n..].iter().map(|d| -d[lane]));

@@ -7,6 +7,7 @@ use crate::filter::{Noise, Pass, Start, filter};
 use crate::fit::{Local, Minimum, minimise, prior_cost};
 use crate::guess::Guess;
 use crate::hypothesis::Hypothesis;
+use crate::limit::AT_LIMIT;
 use crate::shooting::{lateness, locate};
 use crate::simulator::{LANES, Reading, Run, Simulator};
 
@@ -36,9 +37,6 @@ pub struct NoiseModel {
     pub resting: Vec<[Option<f64>; 2]>,
 }
 
-/// Standard deviations of noise within which a reading rests at a level.
-const RESTS: f64 = 4.0;
-
 impl NoiseModel {
     /// Whether several states share the process noise.
     #[must_use]
@@ -52,8 +50,9 @@ impl NoiseModel {
         self.resting.iter().enumerate().filter(|(_, levels)| levels.iter().any(Option::is_some)).any(
             |(output, levels)| {
                 let noise = (0.5 * self.initial.log_output[output]).exp();
-                let rests =
-                    |value: f64| levels.iter().flatten().any(|level| (value - level).abs() <= RESTS * noise);
+                let rests = |value: f64| {
+                    levels.iter().flatten().any(|level| (value - level).abs() <= AT_LIMIT * noise)
+                };
                 let shows = readings.clone().filter(|(of, value)| *of == output && !rests(*value));
                 shows.count() < SETTLING_READINGS
             },

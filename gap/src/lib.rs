@@ -86,6 +86,7 @@ pub mod hypothesis;
 pub mod innovation;
 pub mod judge;
 pub mod library;
+mod limit;
 pub mod lockstep;
 pub mod machine;
 pub mod maps;

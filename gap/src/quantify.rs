@@ -49,7 +49,8 @@ impl Row {
 /// Predicts the held-out segments.
 ///
 /// The filter runs up to each start, from two horizons before the segment where the log allows, or from where a sensor that is at its
-/// limit last showed more; from there the model runs free to the horizon. Starts follow each other by one horizon, so that every reading is predicted once.
+/// limit last showed more; from there the model runs free to the horizon. Starts follow each other by one horizon, so that every
+/// reading is predicted once.
 #[must_use]
 pub fn predict(setup: &Setup, simulator: &dyn Simulator, theta: &[f64], noise: &Noise) -> Row {
     let mut row = Row::default();
@@ -102,7 +103,8 @@ pub(crate) fn starts(
     setup.test.iter().map(move |segment| {
         let mut from = (segment.from - 2.0 * horizon).max(begin);
         let parts = setup.experiment.spans().into_iter();
-        let own = parts.map(|(first, _)| first).filter(|first| *first <= from).fold(begin, f64::max);
+        // No further than its own recording goes.
+        let own = parts.map(|(first, _)| first).filter(|first| *first <= segment.from).fold(begin, f64::max);
         while from > own && segment.from - from < BLIND * horizon && is_blind(setup, from, segment.from) {
             from = (from - horizon).max(own);
         }

@@ -10,8 +10,8 @@ use crate::experiment::Experiment;
 use crate::filter::{Noise, Pass};
 use crate::guess::{Guess, kinematic};
 use crate::innovation::{NoiseModel, Segment, walk};
+use crate::limit::limit;
 use crate::noise;
-use crate::readings;
 use crate::simulator::Simulator;
 use crate::spectrum;
 use crate::statistics::{root_mean_square, standard_deviation};
@@ -192,7 +192,7 @@ impl Setup {
         let resting = (0..outputs)
             .map(|o| {
                 let readings = experiment.output(o).1;
-                let at = |upper| readings::limit(&readings, output_noise[o], upper).level;
+                let at = |upper| limit(&readings, output_noise[o], upper).level;
                 if experiment.wraps[o].is_some() { [None; 2] } else { [at(false), at(true)] }
             })
             .collect();

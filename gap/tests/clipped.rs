@@ -1,21 +1,17 @@
 //! A sensor that is at its limit for long: what happens behind it is followed, and what acts beside it is found.
 
-#[path = "support/rail.rs"]
-mod rail;
+#[path = "support/axis.rs"]
+mod axis;
 
-use parallax_gap::diagnosis::{Options, diagnose_experiment};
-use parallax_gap::experiment::{Experiment, Held, Sample};
-use parallax_gap::report::{Report, Which};
-use parallax_model::system::System;
-use rail::SLIDE;
+use axis::labelled;
+use parallax_gap::experiment::{Held, Sample};
+use parallax_gap::report::Report;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-const JOINT: &str = r#"
-[joints]
-axis = { position = "q", velocity = "v", inertia = "1", drive = "u", load = "-d*v" }
-"#;
+/// Standard deviation of what the sensor adds (m).
+const NOISE: f64 = 0.0001;
 
 /// Readings and commands per second.
 const RATE: f64 = 100.0;
@@ -32,7 +28,7 @@ fn diagnosed(limit: f64, acts: impl Fn(f64) -> f64) -> Report {
     for k in 0..2000_u32 {
         let stamp = f64::from(k) / RATE;
         let noise: f64 = StandardNormal.sample(&mut random);
-        let read = q.min(limit) + 0.0001 * noise;
+        let read = q.min(limit) + NOISE * noise;
         samples.push(Sample { stamp, output: 0, value: read });
         speed += 0.2 * ((read - seen) * RATE - speed);
         seen = read;
@@ -47,25 +43,7 @@ fn diagnosed(limit: f64, acts: impl Fn(f64) -> f64) -> Report {
             q += 0.5 * step * v;
         }
     }
-    let experiment = Experiment {
-        inputs: vec![held],
-        input_units: vec![String::new()],
-        samples,
-        wraps: vec![None],
-        ..Experiment::default()
-    };
-    let text = format!("{SLIDE}{JOINT}").replace("noise = 0.0005", "noise = 0.0001");
-    let system = System::parse(&text, "rail.toml").expect("valid");
-    let equations = system.equations().expect("complete");
-    diagnose_experiment(equations, experiment, "log", &Options::default(), &|_, _| {})
-        .expect("it can be diagnosed")
-        .report
-}
-
-fn labelled(answer: &Which) -> String {
-    let mut effects: Vec<String> = answer.effects.iter().map(|e| e.label()).collect();
-    effects.sort();
-    effects.join(" + ")
+    axis::diagnosed(NOISE, held, samples)
 }
 
 #[test]

@@ -1,22 +1,18 @@
 //! How far a fit may go: a limit that nothing reached is out of the way, a phase turns as often as it has to, and a stop is as hard
 //! as it is.
 
-#[path = "support/rail.rs"]
-mod rail;
+#[path = "support/axis.rs"]
+mod axis;
 
-use parallax_gap::diagnosis::{Options, diagnose_experiment};
-use parallax_gap::experiment::{Experiment, Held, Sample};
-use parallax_gap::report::{Report, Which};
-use parallax_model::system::System;
-use rail::SLIDE;
+use axis::labelled;
+use parallax_gap::experiment::{Held, Sample};
+use parallax_gap::report::Report;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-const JOINT: &str = r#"
-[joints]
-axis = { position = "q", velocity = "v", inertia = "1", drive = "u", load = "-d*v" }
-"#;
+/// Standard deviation of what the sensor adds (m).
+const NOISE: f64 = 0.0005;
 
 /// A mass that starts at `start` (m) and is pushed for 20 s by what `force` makes of its position and the push; steps of 0.1 ms.
 fn diagnosed(start: f64, push: impl Fn(f64) -> f64, force: impl Fn(f64, f64) -> f64) -> Report {
@@ -28,7 +24,7 @@ fn diagnosed(start: f64, push: impl Fn(f64) -> f64, force: impl Fn(f64, f64) -> 
     for k in 0..1000 {
         let stamp = PERIOD * f64::from(k);
         let noise: f64 = StandardNormal.sample(&mut random);
-        samples.push(Sample { stamp, output: 0, value: q + 0.0005 * noise });
+        samples.push(Sample { stamp, output: 0, value: q + NOISE * noise });
         held.times.push(stamp);
         held.values.push(push(stamp));
         let step = PERIOD / f64::from(STEPS);
@@ -38,23 +34,7 @@ fn diagnosed(start: f64, push: impl Fn(f64) -> f64, force: impl Fn(f64, f64) -> 
             q += 0.5 * step * v;
         }
     }
-    let experiment = Experiment {
-        inputs: vec![held],
-        input_units: vec![String::new()],
-        samples,
-        wraps: vec![None],
-        ..Experiment::default()
-    };
-    let system = System::parse(&format!("{SLIDE}{JOINT}"), "rail.toml").expect("valid");
-    let equations = system.equations().expect("complete");
-    diagnose_experiment(equations, experiment, "log", &Options::default(), &|_, _| {})
-        .expect("it can be diagnosed")
-        .report
-}
-
-fn labelled(answer: &Which) -> String {
-    let effects: Vec<String> = answer.effects.iter().map(|e| e.label()).collect();
-    effects.join(" + ")
+    axis::diagnosed(NOISE, held, samples)
 }
 
 fn shaken(t: f64) -> f64 {

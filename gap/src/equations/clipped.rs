@@ -5,10 +5,8 @@ use parallax_model::lanes::F64x16;
 use parallax_model::plant::Plant;
 
 use super::EquationsRun;
+use crate::limit::AT_LIMIT;
 use crate::simulator::{At, AtLimit, Gradient, Motion, wrapped};
-
-/// Standard deviations of noise within which a reading is at a limit.
-const RESTING: f64 = 4.0;
 
 /// An output whose sensor has limits.
 #[derive(Clone, Debug)]
@@ -57,7 +55,7 @@ impl Clipped {
 
     /// Learns the standard deviation of each output's noise.
     pub(super) fn learn(&mut self, noise: &[f64]) {
-        self.resting = RESTING * noise[self.output];
+        self.resting = AT_LIMIT * noise[self.output];
     }
 }
 
@@ -80,7 +78,7 @@ impl EquationsRun<'_> {
             let Some(reading) = reading.filter(|reading| reading.output == output) else { continue };
             let beyond = open[lane] - value[lane];
             if beyond == 0.0 {
-                self.at_limit[lane] = self.rests(clipped, lane, reading.value, open[lane]);
+                self.at_limit[lane] = self.rests(clipped, reading.value, open[lane]);
                 continue;
             }
             if wrapped(value[lane] - reading.value, wrap) * beyond.signum() > clipped.resting {
@@ -95,11 +93,11 @@ impl EquationsRun<'_> {
     }
 
     /// The limit at which a reading rests, of which a prediction falls short.
-    fn rests(&self, clipped: &Clipped, lane: usize, reading: f64, predicted: f64) -> Option<AtLimit> {
+    fn rests(&self, clipped: &Clipped, reading: f64, predicted: f64) -> Option<AtLimit> {
         let limits = clipped.levels.iter().zip([-1.0, 1.0]).filter_map(|(level, side)| {
             let (level, column) = match *level {
                 Level::Fixed(level) => (level, None),
-                Level::Parameter(position, column) => (self.parameter(position, lane), column),
+                Level::Parameter(position, column) => (self.parameters[position], column),
             };
             let rests = (level - reading) * side <= clipped.resting && (level - predicted) * side > 0.0;
             rests.then_some(AtLimit { level, side, column: column.filter(|_| self.variables > 0) })

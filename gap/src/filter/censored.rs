@@ -118,6 +118,16 @@ mod tests {
     }
 
     #[test]
+    fn a_state_of_which_nothing_is_known_goes_to_the_limit() {
+        let (short, variance) = (0.2, 9.0);
+        let beyond = Beyond::of(short, variance, 1e-6).unwrap();
+        let there = beyond.at_the_limit(short, variance);
+        let gain = variance / (variance + there.noise);
+        assert!((gain * there.innovation - short).abs() < 1e-12, "{there:?}");
+        assert!(gain * beyond.innovation > 10.0 * short, "{beyond:?}");
+    }
+
+    #[test]
     fn a_state_that_is_known_as_well_as_a_reading_is_read() {
         assert_eq!(Beyond::of(0.01, 1e-6, 1e-6), None);
         assert!(Beyond::of(0.01, 1.0, 1e-6).is_some());

@@ -7,7 +7,7 @@ use parallax_model::effect::{Effect, EffectParameter, PlaceKind, Quantity};
 
 use super::testable::LARGEST_SKEW;
 use crate::hypothesis::{EffectAt, Fitted, Prior, Slot};
-use crate::readings;
+use crate::limit::limit;
 use crate::setup::{JointScale, Range, Setup};
 
 /// Waves over the range of a joint, at least, for a force to be said to repeat: less of one is an arc, as any spring has.
@@ -139,7 +139,7 @@ fn level(setup: &Setup, at: &EffectAt, index: usize, spec: &EffectParameter, fit
             if at.place.kind == PlaceKind::Output {
                 // Readings rest at a limit: it is nowhere else.
                 let (_, readings) = setup.experiment.output(index);
-                let limit = readings::limit(&readings, setup.output_noise[index], upper);
+                let limit = limit(&readings, setup.output_noise[index], upper);
                 (fitted.low, fitted.high) = (limit.low, limit.high);
                 fitted.starts = vec![limit.level.unwrap_or(fitted.null)];
             }

@@ -3,7 +3,7 @@
 use parallax_model::effect::{Effect, PlaceKind};
 
 use crate::hypothesis::EffectAt;
-use crate::readings;
+use crate::limit::limit;
 use crate::setup::Setup;
 
 /// Least part of a turn that must be covered to see what repeats with position: a wave of a motor with 24 a turn.
@@ -89,7 +89,7 @@ fn output(setup: &Setup, effect: Effect, index: usize) -> Result<(), String> {
             need(range.width() > 4.0 * setup.output_noise[index], "the reading never leaves its noise")?;
             need(setup.experiment.wraps[index].is_none(), "the reading turns around, and has no limits")?;
             let (_, readings) = setup.experiment.output(index);
-            let rests = |upper| readings::limit(&readings, setup.output_noise[index], upper).level.is_some();
+            let rests = |upper| limit(&readings, setup.output_noise[index], upper).level.is_some();
             need(rests(false) || rests(true), RESTS_NOWHERE)
         }
         Effect::SensorLag | Effect::SensorLagSecondOrder => {

@@ -17,7 +17,6 @@ mod doubt;
 mod kicks;
 mod late;
 pub mod lattice;
-mod limit;
 mod local;
 mod lost;
 mod outliers;
@@ -36,7 +35,6 @@ use crate::report::Value;
 
 pub(crate) use acted::{Acted, acted};
 pub(crate) use doubt::contradicted;
-pub(crate) use limit::limit;
 pub(crate) use raw::Raw;
 pub use raw::{Suspicion, Suspicious, cleaned, examine};
 pub(crate) use scatter::noise_beside;

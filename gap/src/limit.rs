@@ -17,6 +17,9 @@ const FEWEST: usize = 10;
 /// Share of readings that may lie beyond a limit: outliers.
 const BEYOND: f64 = 0.002;
 
+/// Standard deviations of noise within which a reading is at a limit.
+pub(crate) const AT_LIMIT: f64 = 4.0;
+
 /// Where the limit of a clipped sensor can be.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Limit {
