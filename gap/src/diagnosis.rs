@@ -355,9 +355,7 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     if !(causes.is_empty() || detected && named) {
         answers.stand_beside_another(&null);
     }
-    let hint = of_size.as_ref().map(|of| {
-        format!("{} acts late where the command is large, which no effect of the library does", of.place)
-    });
+    let hint = of_size.as_ref().map(readings::in_words);
     let unexplained = Unexplained { probability: answers.unexplained, share, hint };
     let chance = causes.iter().chain(&of_size).map(|r| (0.5 * r.evidence).exp()).fold(p_value, f64::min);
     let (mean_detected, detected) = (detected, detected || !causes.is_empty());

@@ -27,14 +27,6 @@ pub fn rank_among(sorted: &[f64], value: f64) -> f64 {
     0.5 * (below + up_to) as f64
 }
 
-/// The rank of each value, less the mean rank.
-pub fn centred_ranks(values: &[f64]) -> Vec<f64> {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let middle = 0.5 * values.len() as f64;
-    values.iter().map(|value| rank_among(&sorted, *value) - middle).collect()
-}
-
 /// Root mean square; 0 for none.
 #[must_use]
 pub fn root_mean_square(values: &[f64]) -> f64 {

@@ -408,23 +408,3 @@ fn bad_readings_beside_times_that_scatter_are_their_traces() {
     let strong = found("outliers", "output:angle", -900.0);
     assert!(!is_trace(&strong, &[strong.clone(), jitter]));
 }
-
-#[test]
-fn commands_that_are_late_where_they_are_large_are_a_cause_outside_the_library() {
-    let mut random = ChaCha8Rng::seed_from_u64(5);
-    let (mut push, mut acted) = (Held::default(), Held::default());
-    for k in 0..375 {
-        let (at, value) = (0.08 * f64::from(k), random.random_range(-5.0..5.0_f64));
-        push.times.push(at);
-        push.values.push(value);
-        acted.times.push(at + if value.abs() > 3.0 { 0.03 } else { 0.0 });
-    }
-    acted.values.clone_from(&push.values);
-    let (equations, experiment) = slid(push, &acted, random);
-    let found = diagnose_experiment(equations, experiment, "log", &Options::default(), &|_, _| {})
-        .expect("a diagnosis")
-        .report;
-    assert!(found.gap.detected && found.unexplained.probability > 0.95, "{}", found.summary);
-    assert!(found.summary.contains("outside the library: input:u acts late where"), "{}", found.summary);
-    assert_eq!(found.unexplained.hint.map(|hint| found.summary.contains(&hint)), Some(true));
-}

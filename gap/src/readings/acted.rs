@@ -1,5 +1,5 @@
 //! Commands that acted otherwise than they were recorded, one by one: those that never arrived ([`super::lost`]), and those
-//! that came late by chance ([`super::late`]).
+//! that came late by chance ([`super::late`]) or where they are large ([`super::large`]).
 //!
 //! To a model that believes the recorded commands each of them is a kick from nowhere, which it takes for noise. Once it is
 //! known what acted, the noise is the sensors' again, and what else there is shows. So they are looked for in rounds, under
@@ -8,7 +8,7 @@
 use parallax_model::effect::{Effect, Place, PlaceKind};
 use rayon::prelude::*;
 
-use super::{ReadingEffect, late, lost};
+use super::{ReadingEffect, large, late, lost};
 use crate::experiment::{Experiment, Held};
 use crate::hypothesis::EffectAt;
 use crate::judge::Judge;
@@ -26,6 +26,9 @@ const DECISIVE: (f64, f64) = (10.0, 20.0);
 
 /// The same by which a leading effect that reaches the noise must beat the nominal model for this one to be no base to look from.
 const EXPLAINED: f64 = 150.0;
+
+/// Share of what the best of them explains from which commands that are late where they are large are what happened.
+const MOST: f64 = 0.5;
 
 /// Mean squared error of short windows, in noise units squared, below which nothing is left but noise.
 const AT_FLOOR: f64 = 1.0;
@@ -80,7 +83,8 @@ pub(crate) fn acted(
     let others = [Some(null), Some(leader), answers.residual(true), answers.residual(false)];
     let best = others.into_iter().flatten().map(|f| f.innovation.evidence_cost).fold(f64::INFINITY, f64::min);
     let system = setup.equations.system();
-    let ways: [(Effect, Way); 2] = [(Effect::Drops, lost::under), (Effect::Jitter, late::under)];
+    let ways: [(Effect, Way); 3] =
+        [(Effect::Drops, lost::under), (Effect::Jitter, late::under), (Effect::Delay, large::under)];
     let judge = Judge::new(null, []);
     let gain = null.innovation.evidence_cost - leader.innovation.evidence_cost;
     let explained = leader.shooting_error <= INEXACT && gain > EXPLAINED;
@@ -91,8 +95,9 @@ pub(crate) fn acted(
         if stated || !options.allows(&at) || setup.stop.asked() {
             return None;
         }
-        // Under the nominal model first: what they leave for others to explain is looked for afterwards.
-        let plain = (!explained).then_some(null);
+        // Under the nominal model first: what they leave for others to explain is looked for afterwards. A leader stands in for
+        // what is no effect of the library, however much it explains.
+        let plain = (!explained || effect == Effect::Delay).then_some(null);
         let named = (!leader.hypothesis.effects.is_empty()).then_some(leader);
         // What joined the leader's first effect may be there for what these commands left.
         let mut bases = plain.into_iter().chain(part_of(answers, leader)).chain(named);
@@ -116,8 +121,11 @@ pub(crate) fn acted(
     let all: Vec<(usize, Effect, Way)> =
         inputs.flat_map(|input| ways.map(|(effect, under)| (input, effect, under))).collect();
     let found: Vec<Acted> = all.into_par_iter().filter_map(tried).collect();
+    // Times that are free follow what one rule says as well, and whatever else the model lacks.
+    let gain = found.iter().map(|acted| best - acted.cost).fold(0.0, f64::max);
+    let ruled = |acted: &Acted| !acted.by_chance && best - acted.cost > MOST * gain;
     // Of equals the first.
-    found.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost))
+    found.into_iter().min_by(|a, b| ruled(b).cmp(&ruled(a)).then(a.cost.total_cmp(&b.cost)))
 }
 
 /// The best answer with a single effect that is one of several of the leader's.

@@ -10,7 +10,6 @@ use super::acted::{Acted, TOLD, refitted};
 use super::found;
 use super::kicks::{Kicks, Late};
 use super::scatter::{self, MOST_PERIODS};
-use super::size::goes_with_size;
 use super::still::come_at_rest;
 use crate::experiment::Held;
 use crate::filter::Noise;
@@ -149,11 +148,7 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
     let effect =
         found("jitter", place.to_string(), ("spread", value), -2.0 * told, true, density.unwrap_or_default());
     let acted = clean.experiment.inputs[input].clone();
-    let middle = median(&mut recorded.values.clone());
-    let of = |value: &dyn Fn(usize) -> f64| last.commands.iter().map(|k| value(*k)).collect::<Vec<f64>>();
-    let late = of(&|k| acted.times[k] - recorded.times[k]);
-    let by_chance = !goes_with_size(&late, &of(&|k| (recorded.values[k] - middle).abs()));
-    Some(Acted { input, recorded: recorded.clone(), acted, effect, by_chance, cost, error })
+    Some(Acted { input, recorded: recorded.clone(), acted, effect, by_chance: true, cost, error })
 }
 
 /// How late all commands still are (s), where that explains something: calibrated parameters, fitted meanwhile, can stand in
@@ -228,9 +223,14 @@ fn look(
 
 /// The commands at the times that the look found, in their order.
 fn moved(recorded: &Held, look: &Look, unit: f64) -> Held {
+    moved_by(recorded, look.commands.iter().zip(&look.shares).map(|(k, share)| (*k, share * unit)))
+}
+
+/// The commands, some of them late by so much (s), in their order: none overtakes another.
+pub(super) fn moved_by(recorded: &Held, late: impl Iterator<Item = (usize, f64)>) -> Held {
     let mut held = recorded.clone();
-    for (k, share) in look.commands.iter().zip(&look.shares) {
-        held.times[*k] += share * unit;
+    for (k, late) in late {
+        held.times[k] += late;
     }
     let mut last = f64::NEG_INFINITY;
     for time in &mut held.times {

@@ -15,6 +15,7 @@ mod banded;
 mod beam;
 mod doubt;
 mod kicks;
+mod large;
 mod late;
 pub mod lattice;
 mod local;
@@ -23,7 +24,6 @@ mod outliers;
 mod peak;
 mod raw;
 mod scatter;
-mod size;
 mod still;
 mod stuck;
 
@@ -35,6 +35,7 @@ use crate::report::Value;
 
 pub(crate) use acted::{Acted, acted};
 pub(crate) use doubt::contradicted;
+pub(crate) use large::in_words;
 pub(crate) use raw::Raw;
 pub use raw::{Suspicion, Suspicious, cleaned, examine};
 pub(crate) use scatter::noise_beside;

@@ -80,7 +80,7 @@ fn source(report: &Report) -> String {
 }
 
 /// Lines of the first answer's parameters for each of its effects, where there is room for them, and their height.
-const LINES: usize = 2;
+const LINES: usize = 3;
 const LINE: f64 = 15.0;
 
 /// Draws the answers from `top` on, as many as end above `bottom`; the first with all of its effects, its parameters, and what it
@@ -93,14 +93,12 @@ fn draw_answers(pen: &mut Pen, answers: &[Answer<'_>], top: f64, bottom: f64) {
         if i > 0 && y + 11.0 > bottom {
             break;
         }
-        let (weight, columns, class) =
-            if i == 0 { ("strong", 30, "bar-after") } else { ("plain", 36, "bar-plain") };
-        let names = if i == 0 { shortened(answer.names()) } else { vec![answer.name()] };
-        for (line, name) in names.iter().enumerate() {
+        let (weight, class) = if i == 0 { ("strong", "bar-after") } else { ("plain", "bar-plain") };
+        let lines =
+            if i == 0 { first_lines(answer.names()) } else { vec![format::clip(&answer.name(), COLUMNS)] };
+        for (line, text) in lines.iter().enumerate() {
             y += if line > 0 { LINE } else { 0.0 };
-            let more = if line + 1 < names.len() { " +" } else { "" };
-            let name = format!("{}{more}", format::clip(name, columns));
-            pen.text(weight, (left, y), Anchor::Start, &name);
+            pen.text(weight, (left, y), Anchor::Start, text);
         }
         pen.text("strong", (right, y), Anchor::End, &draw::typeset(&format::probability(answer.probability)));
         pen.rect("bar-track", (left, y + 5.0), (right - left, 6.0));
@@ -110,7 +108,7 @@ fn draw_answers(pen: &mut Pen, answers: &[Answer<'_>], top: f64, bottom: f64) {
         if i == 0 {
             let mut notes = packed(&answer.parameters(), 46);
             let room = ((bottom - y) / LINE).max(LINES as f64) as usize;
-            notes.truncate((LINES * names.len()).min(room));
+            notes.truncate((LINES * answer.names().len()).min(room));
             if !answer.alike.is_empty() {
                 notes.push(format!("or {}: alike in this data", answer.alike.join(", ")));
             }
@@ -121,6 +119,24 @@ fn draw_answers(pen: &mut Pen, answers: &[Answer<'_>], top: f64, bottom: f64) {
             y += if notes.is_empty() { 0.0 } else { 3.0 };
         }
     }
+}
+
+/// Characters that fit beside a probability, and of the first answer's wider ones.
+const COLUMNS: usize = 36;
+const STRONG_COLUMNS: usize = 30;
+
+/// The first answer's effects, each on one line, or where that is too long on two, the second from its place on.
+fn first_lines(names: Vec<String>) -> Vec<String> {
+    let mut names = shortened(names);
+    let last = names.len().saturating_sub(1);
+    names[..last].iter_mut().for_each(|name| name.push_str(" +"));
+    let lines = names.into_iter().flat_map(|name| match name.find('@') {
+        Some(at) if name.chars().count() > STRONG_COLUMNS => {
+            vec![name[..at].to_owned(), name[at..].to_owned()]
+        }
+        _ => vec![name],
+    });
+    lines.map(|line| format::clip(&line, STRONG_COLUMNS)).collect()
 }
 
 /// Effects of the first answer that there is room for, and how many there are beyond.
