@@ -7,6 +7,7 @@
 use parallax_model::effect::{Effect, Place};
 
 use super::acted::{Acted, TOLD, refitted};
+use super::golden::golden;
 use super::late::moved_by;
 use super::{LogDensity, ReadingEffect, found};
 use crate::experiment::Held;
@@ -201,14 +202,8 @@ impl Commands<'_> {
 
     /// The best one near, and its cost, from steps of `ratio` in time and of the shares.
     fn refined(&self, mut way: Way, ratio: f64, mut cost: impl FnMut(Way) -> f64) -> (Way, f64) {
-        let share = 0.5 * (5.0_f64.sqrt() - 1.0);
-        let (mut a, mut b) = ((way.late / ratio).ln(), (way.late * ratio).ln());
-        for _ in 0..GOLDEN {
-            let (left, right) = (b - share * (b - a), a + share * (b - a));
-            let mut at = |x: f64| cost(Way { late: x.exp(), ..way });
-            if at(left) < at(right) { b = right } else { a = left }
-        }
-        way.late = (0.5 * (a + b)).exp();
+        let range = ((way.late / ratio).ln(), (way.late * ratio).ln());
+        way.late = golden(range, GOLDEN, |late| -cost(Way { late: late.exp(), ..way })).exp();
         let mut least = cost(way);
         // To a single value in the end.
         for step in FINER.map(|share| (share * self.values.len() as f64) as usize).into_iter().chain([1]) {

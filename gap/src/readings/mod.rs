@@ -14,6 +14,7 @@ mod acted;
 mod banded;
 mod beam;
 mod doubt;
+mod golden;
 mod kicks;
 mod large;
 mod late;

@@ -12,6 +12,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
+use super::golden::golden;
 use super::kicks::Kicks;
 use super::lost::{self, FEWEST, RAREST};
 use super::peak::peak;
@@ -389,21 +390,7 @@ impl Sensitivity {
     /// The floor that makes it largest, by golden section on its logarithm.
     fn floor(&self, scale: f64) -> f64 {
         let size = root_mean_square(&self.innovations).max(1e-12);
-        let ratio = 0.5 * (5.0_f64.sqrt() - 1.0);
-        let at = |log_floor: f64| (log_floor, self.log(scale, log_floor.exp()));
-        let (mut low, mut high) = ((0.1 * size).ln(), (1.1 * size).ln());
-        let (mut a, mut b) = (at(high - ratio * (high - low)), at(low + ratio * (high - low)));
-        for _ in 0..14 {
-            // One of the two points is one of the next two.
-            if a.1 > b.1 {
-                (high, b) = (b.0, a);
-                a = at(high - ratio * (high - low));
-            } else {
-                (low, a) = (a.0, b);
-                b = at(low + ratio * (high - low));
-            }
-        }
-        (0.5 * (low + high)).exp()
+        golden(((0.1 * size).ln(), (1.1 * size).ln()), 14, |log_floor| self.log(scale, log_floor.exp())).exp()
     }
 }
 

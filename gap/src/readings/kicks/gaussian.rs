@@ -3,6 +3,7 @@
 
 use super::Kicks;
 use crate::readings::banded::{Cholesky, dot};
+use crate::readings::golden::golden;
 
 /// Points at which a spread is tried first, and steps of the search between the best of them.
 const GRID: usize = 17;
@@ -60,13 +61,7 @@ impl Kicks {
         let step = (high - low) / (GRID - 1) as f64;
         let grid: Vec<(f64, f64)> = (0..GRID).map(|k| low + k as f64 * step).map(|x| (x, at(x))).collect();
         let best = grid.iter().max_by(|a, b| a.1.total_cmp(&b.1)).map_or(low, |p| p.0);
-        let share = 0.5 * (5.0_f64.sqrt() - 1.0);
-        let (mut a, mut b) = ((best - step).max(low), (best + step).min(high));
-        for _ in 0..GOLDEN {
-            let (left, right) = (b - share * (b - a), a + share * (b - a));
-            if at(left) > at(right) { b = right } else { a = left }
-        }
-        let x = 0.5 * (a + b);
+        let x = golden(((best - step).max(low), (best + step).min(high)), GOLDEN, at);
         let top = at(x);
         // The curvature over a step in which the likelihood changes visibly.
         let near = 0.1;
