@@ -92,6 +92,7 @@ pub fn combinations(setup: &Setup, null: &Fit, fits: &[Fit], forms: &[EffectAt],
         if base.hypothesis.effects.len() < 2
             || found.iter().any(known)
             || combine.explained_by_one(&base, fits)
+            || combine.explained_by_one(&base, &found)
         {
             continue;
         }
@@ -156,13 +157,20 @@ impl Combine<'_> {
         known.filter_map(|known| self.again(known, fit)).collect()
     }
 
-    /// Whether a single effect with which the noise is reached explains as much as several do, whichever they began with: then
-    /// these only share out what the one does.
+    /// Whether a single effect with which the noise is reached, or one of them, explains as much as several do, whichever they began
+    /// with: then these only share out what the one does. One that is their sum need not, where it reaches the noise.
     fn explained_by_one(&self, fit: &Fit, singles: &[Fit]) -> bool {
         let complete = OnceCell::new();
         let complete = || *complete.get_or_init(|| leaves_nothing(self.setup, fit, &self.pool));
-        let mut exact = singles.iter().filter(|single| single.shooting_error <= INEXACT);
-        exact.any(|single| !self.judge.is_worth_or(fit, single, complete))
+        let own =
+            |single: &Fit| single.hypothesis.effects.iter().all(|at| fit.hypothesis.effects.contains(at));
+        let exact = |single: &Fit| single.shooting_error <= INEXACT;
+        let singles = singles.iter().filter(|single| single.hypothesis.effects.len() == 1);
+        let mut enough = singles.filter(|single| exact(single) || own(single));
+        enough.any(|single| {
+            is_sum(&single.hypothesis.effects[0], &fit.hypothesis.effects) && exact(single)
+                || !self.judge.is_worth_or(fit, single, complete)
+        })
     }
 
     /// Whether the best so far leaves nothing material, or nothing at all to any other effect.
@@ -204,6 +212,21 @@ fn overlap(a: &EffectAt, b: &EffectAt) -> bool {
     let contains =
         |a: &EffectAt, b: &EffectAt| a.effect == b.effect || a.effect.simpler().contains(&b.effect);
     a.place == b.place && (contains(a, b) || contains(b, a))
+}
+
+/// Whether an effect is by its definition the sum of two: dry friction that differs by direction is a constant one and a constant
+/// push. Smoothed they differ where the machine stands, by what neither is.
+fn is_sum(of: &EffectAt, parts: &[EffectAt]) -> bool {
+    let pushes = |at: &EffectAt| match at.effect {
+        Effect::ConstantForce | Effect::Wind | Effect::GravityTilt => at.place == of.place,
+        Effect::Offset | Effect::Bias => true,
+        _ => false,
+    };
+    let rubs = |at: &EffectAt| at.effect == Effect::Coulomb && at.place == of.place;
+    of.effect == Effect::AsymmetricFriction
+        && parts.len() == 2
+        && parts.iter().any(rubs)
+        && parts.iter().any(pushes)
 }
 
 /// Whether two lists hold the same effects.

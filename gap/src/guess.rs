@@ -40,6 +40,14 @@ impl Guess {
         Guess { state, std, along: Along::default() }
     }
 
+    /// The same with what is known along the way: states one after the other, at `stamps` (s, ascending), each of them a guess for
+    /// `reach` (s).
+    #[must_use]
+    pub fn with_states(mut self, stamps: Vec<f64>, states: Vec<f64>, reach: f64) -> Self {
+        self.along = Along { stamps, states, reach };
+        self
+    }
+
     /// The state at `stamp` (s), as far as earlier readings tell it.
     #[must_use]
     pub fn state(&self, stamp: f64) -> &[f64] {
@@ -79,12 +87,9 @@ impl Guess {
             (known.state[i], known.std[i]) =
                 narrowed(&state.initial, (known.state[i], known.std[i]), &mut seen);
         }
-        known.along = Along {
-            stamps: order.iter().map(|k| pass.stamp[*k]).collect(),
-            states: order.iter().flat_map(|k| pass.state[k * width..k * width + n].iter().copied()).collect(),
-            reach,
-        };
-        known
+        let stamps = order.iter().map(|k| pass.stamp[*k]).collect();
+        let states = order.iter().flat_map(|k| pass.state[k * width..k * width + n].iter().copied());
+        known.with_states(stamps, states.collect(), reach)
     }
 
     /// At an arbitrary time: at zero or their declared start, within what the outputs suggest.

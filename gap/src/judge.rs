@@ -1,5 +1,7 @@
 //! Which loss decides, and what it says of a fit.
 
+use parallax_model::effect::Effect;
+
 use crate::search::{Fit, INEXACT};
 
 /// Gain in −2 log evidence that a further effect must bring.
@@ -27,6 +29,9 @@ const NUMERICAL: f64 = 1e-6;
 
 /// Share of the gap up to which one hypothesis may explain more than another because of its form alone.
 const FORM: f64 = 0.1;
+
+/// Mean squared error of short windows, in noise units squared, up to which nothing is left but noise.
+const AT_FLOOR: f64 = 1.03;
 
 /// What is `explained` of a mean squared error, in units of what a form that closes `gap` and that nobody knows exactly may
 /// be off by.
@@ -106,12 +111,18 @@ impl Judge {
     }
 
     /// The same; what is too small to be told from the first effect's form counts where nothing at all is left with it
-    /// (`complete`): a form that is off leaves more than one effect takes.
+    /// (`complete`), and only there: a form that is off leaves more than one effect takes. Another value of a parameter follows what
+    /// a form is off by too well to be told from it.
     #[must_use]
     pub fn is_worth_or(&self, fit: &Fit, base: &Fit, complete: impl FnOnce() -> bool) -> bool {
         let same = || (base.shooting_error - fit.shooting_error).abs() < NUMERICAL * self.gap;
-        self.is_worth(fit, base)
-            || (base.shooting_error <= INEXACT && self.gains(fit, base) && !same() && complete())
+        if self.is_worth(fit, base) {
+            return fit.shooting_error <= AT_FLOOR || self.beyond_form(fit, base) >= 1.0 || complete();
+        }
+        let known = &base.hypothesis.effects;
+        let tuned =
+            || fit.hypothesis.effects.iter().any(|at| at.effect == Effect::Parameter && !known.contains(at));
+        base.shooting_error <= INEXACT && self.gains(fit, base) && !same() && !tuned() && complete()
     }
 
     /// Whether a further effect at a place of its own brings more than [`WORTH`] by both losses.

@@ -85,7 +85,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     } else {
         print(&design, &out, made_from);
     }
-    Ok(if design.separates() { Outcome::Done } else { Outcome::Negative })
+    Ok(if design.narrows() { Outcome::Done } else { Outcome::Negative })
 }
 
 fn read(file: &Path) -> Result<Report, Failure> {

@@ -2,6 +2,7 @@
 
 use parallax_model::system::Suggestion;
 
+use super::apart::Apart;
 use super::inputs::{Frame, Shape, Span};
 use super::sensors::Sensor;
 use super::trial::{Trial, calm};
@@ -28,14 +29,13 @@ pub(super) struct Proposal {
     kind: (Shape, usize),
 }
 
-/// A proposal with its score: the separation of the worst pair.
+/// A proposal with what it shows of every pair of candidates.
 #[derive(Clone, Debug)]
 pub(super) struct Tried {
     pub(super) order: usize,
     proposal: Proposal,
     amplitude: f64,
-    pub(super) score: f64,
-    pair: (usize, usize),
+    pub(super) apart: Apart,
     reach: Vec<(f64, f64)>,
 }
 
@@ -159,7 +159,9 @@ impl<'a> Bench<'a> {
     /// The first half of the best input and of the next ones of another kind.
     pub(super) fn halves(&self, tried: &[Tried]) -> Vec<Proposal> {
         let Some(best) = tried.first() else { return Vec::new() };
-        let others = tried.iter().filter(|t| t.proposal.kind != best.proposal.kind && t.pair != best.pair);
+        let others = tried
+            .iter()
+            .filter(|t| t.proposal.kind != best.proposal.kind && t.apart.worst().0 != best.apart.worst().0);
         let next = tried.iter().skip(1).filter(|t| t.proposal.kind.0 != best.proposal.kind.0);
         let mut seen = Vec::new();
         let mut out = Vec::new();
@@ -215,8 +217,8 @@ impl<'a> Bench<'a> {
         [1.0, 0.5, 0.25, 0.1].into_iter().find_map(|amplitude| {
             let trial = self.trial.with_commands(&self.commands(&proposal, amplitude));
             let noise = |k: usize| self.candidates[k].innovation.noise.clone();
-            let (score, pair, reach) = self.worst(&trial, noise)?;
-            Some(Tried { order: proposal.order, proposal: proposal.clone(), amplitude, score, pair, reach })
+            let (apart, reach) = self.apart(&trial, noise)?;
+            Some(Tried { order: proposal.order, proposal: proposal.clone(), amplitude, apart, reach })
         })
     }
 
@@ -226,20 +228,18 @@ impl<'a> Bench<'a> {
         let trial = self.trial.with_setup(setup, self.setup.period);
         let trial = trial.with_commands(&self.commands(&tried.proposal, tried.amplitude));
         let noise = |k: usize| sensor.noise(&self.candidates[k].innovation.noise);
-        let (score, pair, reach) = self.worst(&trial, noise)?;
-        Some(Tried { score, pair, reach, ..tried.clone() })
+        let (apart, reach) = self.apart(&trial, noise)?;
+        Some(Tried { apart, reach, ..tried.clone() })
     }
 
-    /// The worst pair's separation. `None` when a candidate leaves the ranges.
-    #[allow(clippy::type_complexity)]
-    fn worst(
-        &self,
-        trial: &Trial,
-        noise: impl Fn(usize) -> Noise,
-    ) -> Option<(f64, (usize, usize), Vec<(f64, f64)>)> {
+    /// How far the candidates are from each other, and how far each output would go. `None` when a candidate leaves the ranges.
+    fn apart(&self, trial: &Trial, noise: impl Fn(usize) -> Noise) -> Option<(Apart, Vec<(f64, f64)>)> {
+        let dry = |fit: &&Fit| fit.hypothesis.effects.iter().any(|at| at.effect.is_dry());
+        // Smoothed friction creeps where a machine stands: what is told by how it creeps is told by nothing.
+        let sticks = self.candidates.iter().any(dry);
         let mut shown = Vec::with_capacity(self.candidates.len());
         for candidate in self.candidates {
-            let found = trial.simulate(candidate)?;
+            let found = if sticks { trial.simulate_finely(candidate)? } else { trial.simulate(candidate)? };
             let inside =
                 self.ranges.iter().zip(&found.reach).all(|(range, (low, high))| {
                     range.is_none_or(|(least, most)| *low >= least && *high <= most)
@@ -249,20 +249,20 @@ impl<'a> Bench<'a> {
             }
             shown.push(found);
         }
-        let mut worst = (f64::INFINITY, (0, 1));
+        let mut apart = Apart::nowhere(self.candidates.len());
         for (truth, readings) in shown.iter().enumerate() {
-            for (other, fit) in self.candidates.iter().enumerate().filter(|(other, _)| *other != truth) {
-                let separation = trial.separation(readings, fit, &noise(other));
-                if separation < worst.0 || separation.is_nan() {
-                    worst = (if separation.is_nan() { 0.0 } else { separation }, (truth, other));
-                }
+            let away = |k: usize| trial.separation(readings, self.candidates[k], &noise(k)).powi(2);
+            // As far as the truth is from itself another one may be as well, and by chance not be.
+            let own = if sticks { 2.0 * away(truth) } else { 0.0 };
+            for other in (0..self.candidates.len()).filter(|other| *other != truth) {
+                apart.keep(truth, other, (away(other) - own).max(0.0).sqrt());
             }
         }
         let reach = (0..shown[0].reach.len()).map(|o| {
             let lows = shown.iter().map(|s| s.reach[o].0).fold(f64::INFINITY, f64::min);
             (lows, shown.iter().map(|s| s.reach[o].1).fold(f64::NEG_INFINITY, f64::max))
         });
-        Some((worst.0, worst.1, reach.collect()))
+        Some((apart, reach.collect()))
     }
 
     /// Which output leaves its range even when the commands rest, or the first one.
@@ -315,6 +315,9 @@ impl<'a> Bench<'a> {
             short(self.frame.duration)
         );
         let label = |k: usize| self.candidates[k].hypothesis.label();
+        let groups = tried.apart.groups();
+        let (pair, separation) = tried.apart.between(&groups);
+        let alike = groups.iter().filter(|group| groups.len() > 1 && group.len() > 1);
         let reach =
             system.outputs.iter().zip(&tried.reach).map(|(o, (low, high))| (o.name.clone(), *low, *high));
         Design {
@@ -323,8 +326,9 @@ impl<'a> Bench<'a> {
             commands,
             description,
             sensor: sensor.map(Sensor::describe),
-            pair: (label(tried.pair.0), label(tried.pair.1)),
-            separation: tried.score,
+            pair: (label(pair.0), label(pair.1)),
+            separation,
+            alike: alike.map(|group| group.iter().map(|k| label(*k)).collect()).collect(),
             reach: reach.collect(),
         }
     }

@@ -3,11 +3,13 @@
 //! [`design`] takes the fits of the candidates, tries the [library of inputs](inputs) on each command within its range,
 //! and keeps the one under which the worst pair of candidates lies farthest apart ([`trial`]): after the calibrated
 //! parameters and the candidates' own have followed, in units of the noise, and with what the log already knows of
-//! them. Where no input does it, it looks for a [sensor](sensors) that would.
+//! them. Where no input does it, it takes the one that leaves the fewest of them together ([`Design::alike`]), and looks for
+//! a [sensor](sensors) that would.
 //!
 //! The criterion is that of T-optimal designs for discrimination between models (Atkinson & Fedorov 1975), with nuisance
 //! parameters taken out to first order.
 
+mod apart;
 mod bench;
 pub mod inputs;
 mod next;
@@ -27,6 +29,7 @@ use crate::search::Fit;
 use crate::setup::Setup;
 pub use next::{ProposeError, propose};
 
+use apart::is_enough;
 use bench::{Bench, Tried};
 use sensors::Sensor;
 
@@ -149,12 +152,14 @@ pub struct Design {
     pub commands: Vec<Command>,
     /// The commands in words.
     pub description: String,
-    /// A sensor without which the candidates stay alike.
+    /// A sensor without which the candidates, or those of them that it leaves [alike](Design::alike), stay so.
     pub sensor: Option<String>,
     /// The pair that lies nearest.
     pub pair: (String, String),
     /// Separation of that pair, in noise units.
     pub separation: f64,
+    /// Candidates that stay alike all the same, where it separates others; the nearest pair is one of those that it separates.
+    pub alike: Vec<Vec<String>>,
     /// Smallest and largest value that a candidate predicts for each output: name, low, high.
     pub reach: Vec<(String, f64, f64)>,
 }
@@ -166,15 +171,18 @@ pub struct Promise {
     pub input: String,
     /// How long they last (s).
     pub duration_s: f64,
-    /// A sensor without which the candidates stay alike.
+    /// A sensor without which the candidates, or those of them that it leaves alike, stay so.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sensor: Option<String>,
     /// Log evidence to be expected for the truth against the nearest other candidate.
     pub log_evidence: f64,
     /// Probability of a correct decision between these two.
     pub probability: f64,
-    /// Whether that is enough to tell them apart.
+    /// Whether that is enough to tell all of them apart.
     pub separates: bool,
+    /// Candidates that stay alike all the same, where it separates others.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub alike: Vec<Vec<String>>,
 }
 
 impl Design {
@@ -190,10 +198,16 @@ impl Design {
         parallax_runtime::delay::special::normal_cdf(0.5 * self.separation / TEMPERATURE.sqrt())
     }
 
-    /// Whether the evidence to be expected tells the nearest pair apart.
+    /// Whether the evidence to be expected tells every pair apart.
     #[must_use]
     pub fn separates(&self) -> bool {
-        self.separation * self.separation >= DECISIVE
+        self.narrows() && self.alike.is_empty()
+    }
+
+    /// Whether the evidence to be expected tells some of them apart.
+    #[must_use]
+    pub fn narrows(&self) -> bool {
+        is_enough(self.separation)
     }
 
     /// For the report.
@@ -206,6 +220,7 @@ impl Design {
             log_evidence: self.log_evidence(),
             probability: self.probability(),
             separates: self.separates(),
+            alike: self.alike.clone(),
         }
     }
 }
@@ -216,6 +231,14 @@ impl fmt::Display for Design {
         let percent = (100.0 * self.probability()).min(99.9);
         let expected =
             format!("right in {percent:.1} % of cases, log evidence {:.1} expected", self.log_evidence());
+        if !self.alike.is_empty() {
+            let alike: Vec<String> = self.alike.iter().map(|group| group.join(" and ")).collect();
+            write!(f, "{} ({expected}), which leaves {} alike", self.description, alike.join(", and "))?;
+            return match &self.sensor {
+                Some(sensor) => write!(f, "; with {sensor} one would tell all of them apart"),
+                None => Ok(()),
+            };
+        }
         match &self.sensor {
             None if self.separates() => write!(f, "{} ({expected})", self.description),
             None => write!(
@@ -253,32 +276,51 @@ pub fn design(
     let bench = Bench::new(setup, null, candidates, wishes)?;
     let mut tried: Vec<Tried> =
         bench.proposals().into_par_iter().filter_map(|p| bench.try_alone(p)).collect();
-    tried.sort_by(|a, b| b.score.total_cmp(&a.score).then(a.order.cmp(&b.order)));
+    let best_first = |tried: &mut Vec<Tried>| {
+        tried.sort_by(|a, b| score(b).total_cmp(&score(a)).then(a.order.cmp(&b.order)));
+    };
+    best_first(&mut tried);
     // Halves of two good inputs of different kinds: what one pair lacks, another input may show.
     let better = bench.halves(&tried).into_par_iter().filter_map(|p| bench.try_alone(p));
     tried.extend(better.collect::<Vec<_>>());
-    tried.sort_by(|a, b| b.score.total_cmp(&a.score).then(a.order.cmp(&b.order)));
+    best_first(&mut tried);
     let Some(best) = tried.first() else {
         return Err(DesignError::Range { duration: bench.frame.duration, reason: bench.reason() });
     };
-    if best.score * best.score >= DECISIVE {
+    if best.apart.all() {
         return Ok(bench.conclude(best, None));
     }
     let with: Vec<(Sensor, Tried)> = sensors::missing(setup)
         .into_par_iter()
         .filter_map(|sensor| {
             let tried = tried.iter().take(WITH_SENSORS).filter_map(|t| bench.try_with(t, &sensor));
-            let best = tried.max_by(|a, b| a.score.total_cmp(&b.score))?;
+            let best = tried.max_by(|a, b| score(a).total_cmp(&score(b)))?;
             Some((sensor, best))
         })
         .collect();
     // Of sensors that do it equally well the first in the file's order.
-    let enough = with.iter().filter(|(_, tried)| tried.score * tried.score >= DECISIVE);
-    let leader = enough.reduce(|a, b| if b.1.score > 1.5 * a.1.score { b } else { a });
-    Ok(match leader {
-        Some((sensor, tried)) => bench.conclude(tried, Some(sensor)),
-        None => bench.conclude(best, None),
+    let enough = with.iter().filter(|(_, tried)| tried.apart.all());
+    let leader = enough.reduce(|a, b| if score(&b.1) > 1.5 * score(&a.1) { b } else { a });
+    Ok(match (most_groups(&tried), leader) {
+        (Some(narrowing), leader) => bench.conclude(narrowing, leader.map(|(sensor, _)| sensor)),
+        (None, Some((sensor, tried))) => bench.conclude(tried, Some(sensor)),
+        (None, None) => bench.conclude(best, None),
     })
+}
+
+/// Separation of the nearest pair.
+fn score(tried: &Tried) -> f64 {
+    tried.apart.worst().1
+}
+
+/// The first of those that leave the most groups, the one that keeps them farthest apart; none where nothing is separated.
+fn most_groups(tried: &[Tried]) -> Option<&Tried> {
+    let parts = |t: &Tried| {
+        let groups = t.apart.groups();
+        (groups.len(), t.apart.between(&groups).1)
+    };
+    let narrowing = tried.iter().rev().filter(|t| parts(t).0 > 1);
+    narrowing.max_by(|a, b| parts(a).0.cmp(&parts(b).0).then(parts(a).1.total_cmp(&parts(b).1)))
 }
 
 /// Three digits.

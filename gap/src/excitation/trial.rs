@@ -4,6 +4,10 @@
 //! with the noise that was fitted to the log, so that what feedback or process noise would forgive is forgiven. Its
 //! parameters may follow: what its sensitivities and what the log says of them allow is taken out. What is left, in
 //! noise units, is the separation δ of the two; δ²/2 is the log evidence to be expected against the other.
+//!
+//! A machine with dry friction stands where it sticks, and its smoothed model creeps: such a truth is simulated
+//! [more finely](Trial::simulate_finely) than the filter's model of it, and its distance from that is the distance at which
+//! nothing is told.
 
 use std::sync::Arc;
 
@@ -21,6 +25,10 @@ use crate::setup::Setup;
 use crate::simulator::{Prediction, Simulator, Transition};
 use crate::statistics::median;
 
+/// How much steeper dry friction is in the machine that a trial imagines than in the models that follow it: enough that it stands
+/// where they creep.
+const FINER: f64 = 8.0;
+
 /// A setup around an experiment that is yet to be made. The readings are empty until a candidate is simulated.
 #[derive(Clone, Debug)]
 pub struct Trial {
@@ -34,6 +42,8 @@ pub struct Trial {
 #[derive(Clone, Debug)]
 pub struct Shown {
     values: Vec<f64>,
+    /// Where the states are along the way.
+    guess: Arc<Guess>,
     /// Smallest and largest value of each output, angles followed across their wraps.
     pub reach: Vec<(f64, f64)>,
 }
@@ -102,14 +112,31 @@ impl Trial {
     /// What the candidate shows under the trial's commands. `None` when it gives numbers that are not finite.
     #[must_use]
     pub fn simulate(&self, fit: &Fit) -> Option<Shown> {
-        let simulator = library::simulator(&self.setup, &fit.hypothesis, Vec::new());
+        self.simulate_under(&self.setup, fit)
+    }
+
+    /// The same in steps that are as much shorter as its dry friction is steeper: nearer to a machine, which stands where it sticks.
+    #[must_use]
+    pub fn simulate_finely(&self, fit: &Fit) -> Option<Shown> {
+        let mut setup = self.setup.clone();
+        setup.step /= FINER;
+        setup.joints.iter_mut().for_each(|joint| joint.smoothing /= FINER);
+        self.simulate_under(&setup, fit)
+    }
+
+    fn simulate_under(&self, setup: &Setup, fit: &Fit) -> Option<Shown> {
+        let simulator = library::simulator(setup, &fit.hypothesis, Vec::new());
         let outputs = self.setup.experiment.wraps.len();
         let mut found: Vec<Vec<f64>> = vec![Vec::new(); outputs];
         let mut run = simulator.run_at(fit.theta());
         let (mut state, _) = simulator.start(&self.state, &self.std, 0.0);
         let (mut prediction, mut transition) = (Prediction::default(), Transition::default());
+        let (mut stamps, mut states) = (Vec::new(), Vec::new());
         for index in 0..run.events().len() {
-            if let Some(reading) = run.events()[index].reading {
+            let event = run.events()[index];
+            stamps.push(event.time);
+            states.extend_from_slice(&state[..self.state.len()]);
+            if let Some(reading) = event.reading {
                 run.observe(index, &state, &mut prediction);
                 found[reading.output].push(prediction.value);
             }
@@ -134,7 +161,9 @@ impl Trial {
             values.push(*found[sample.output].get(next[sample.output])?);
             next[sample.output] += 1;
         }
-        Some(Shown { values, reach })
+        let guess = Guess::constant(self.state.clone(), self.std.clone());
+        let guess = Arc::new(guess.with_states(stamps, states, 2.0 * self.setup.period));
+        Some(Shown { values, guess, reach })
     }
 
     /// How far `other` stays from these readings after its parameters have followed: the separation δ, in noise units.
@@ -145,11 +174,7 @@ impl Trial {
         for (sample, value) in setup.experiment.samples.iter_mut().zip(&shown.values) {
             sample.value = *value;
         }
-        let segment = Segment {
-            from: 0.0,
-            to: self.duration + 1e-6,
-            guess: Arc::new(Guess::constant(self.state.clone(), self.std.clone())),
-        };
+        let segment = Segment { from: 0.0, to: self.duration + 1e-6, guess: shown.guess.clone() };
         let simulator = library::simulator(&setup, &other.hypothesis, Vec::new());
         let pass = walk(&simulator, &[segment], &setup.noise, noise, other.theta());
         let innovations = DVector::from_vec(pass.whitened());

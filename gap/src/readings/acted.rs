@@ -104,8 +104,12 @@ pub(crate) fn acted(
         bases.find_map(|base| {
             under(setup, base, input, &place).filter(|acted| {
                 // What is less than a leading effect's form may be off by is its form; where that leaves nothing, a few lost
-                // commands may still be told, times that scatter a little are of how commands are held between their stamps.
-                let exact = base.shooting_error < AT_FLOOR && effect == Effect::Drops;
+                // commands may still be told, times that scatter a little are of how commands are held between their stamps. A
+                // machine that sticks forgets what it was told whatever became of it: beside dry friction they must show
+                // as well as an effect does.
+                let sticks = base.hypothesis.effects.iter().any(|at| at.effect.is_dry());
+                let shows = base.innovation.evidence_cost - acted.cost > EXPLAINED;
+                let exact = base.shooting_error < AT_FLOOR && effect == Effect::Drops && (shows || !sticks);
                 let form = base.shooting_error <= INEXACT
                     && !exact
                     && !base.hypothesis.effects.is_empty()

@@ -24,7 +24,7 @@ pub(super) fn interval(interval: &Interval) -> (String, Option<String>) {
     }
     let decimals = if width > 0.0 { (-exponent(width / 2.0)).clamp(0, 4) } else { 1 };
     let text = |x: f64| fixed(x * 100.0, decimals);
-    if width > 0.0 && text(low) == text(high) {
+    if text(low) == text(high) {
         // Narrower than what is shown: an interval of one number says nothing, nor do zeros.
         return (share(value), None);
     }
@@ -64,6 +64,7 @@ mod tests {
         assert_eq!(of(f64::NAN, 0.0, 1.0), (UNKNOWN.to_owned(), None));
         assert_eq!(of(0.5, f64::NAN, 1.0), ("50 %".to_owned(), None));
         assert_eq!(of(0.999_999_96, 0.999_999_9, 0.999_999_98), ("100 %".to_owned(), None));
+        assert_eq!(of(0.0, 0.0, 0.0), ("0 %".to_owned(), None));
         assert_eq!(of(-2e6, -3e6, 0.5).0, "-2×10⁸ %");
     }
 }
