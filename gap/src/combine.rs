@@ -157,8 +157,9 @@ impl Combine<'_> {
         known.filter_map(|known| self.again(known, fit)).collect()
     }
 
-    /// Whether a single effect with which the noise is reached, or one of them, explains as much as several do, whichever they began
-    /// with: then these only share out what the one does. One that is their sum need not, where it reaches the noise.
+    /// Whether a single effect with which the noise is reached explains as much as several do, whichever they began with, or, where
+    /// some hypothesis reaches it, one of them: then these only share out what the one does. One that is their sum need not,
+    /// where it reaches the noise.
     fn explained_by_one(&self, fit: &Fit, singles: &[Fit]) -> bool {
         let complete = OnceCell::new();
         let complete = || *complete.get_or_init(|| leaves_nothing(self.setup, fit, &self.pool));
@@ -166,7 +167,7 @@ impl Combine<'_> {
             |single: &Fit| single.hypothesis.effects.iter().all(|at| fit.hypothesis.effects.contains(at));
         let exact = |single: &Fit| single.shooting_error <= INEXACT;
         let singles = singles.iter().filter(|single| single.hypothesis.effects.len() == 1);
-        let mut enough = singles.filter(|single| exact(single) || own(single));
+        let mut enough = singles.filter(|single| exact(single) || (self.judge.is_exact() && own(single)));
         enough.any(|single| {
             is_sum(&single.hypothesis.effects[0], &fit.hypothesis.effects) && exact(single)
                 || !self.judge.is_worth_or(fit, single, complete)
@@ -232,4 +233,34 @@ fn is_sum(of: &EffectAt, parts: &[EffectAt]) -> bool {
 /// Whether two lists hold the same effects.
 fn same(a: &[EffectAt], b: &[EffectAt]) -> bool {
     a.len() == b.len() && a.iter().all(|at| b.contains(at))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(effect: Effect, place: &str) -> EffectAt {
+        EffectAt { effect, place: place.parse().expect("a place") }
+    }
+
+    #[test]
+    fn friction_by_direction_is_a_constant_one_and_a_push() {
+        let sum = at(Effect::AsymmetricFriction, "joint:a");
+        let rubs = at(Effect::Coulomb, "joint:a");
+        for push in [
+            at(Effect::Offset, "input:u"),
+            at(Effect::ConstantForce, "joint:a"),
+            at(Effect::Bias, "output:y"),
+        ] {
+            assert!(is_sum(&sum, &[rubs.clone(), push.clone()]) && is_sum(&sum, &[push, rubs.clone()]));
+        }
+        let elsewhere = [at(Effect::Coulomb, "joint:b"), at(Effect::ConstantForce, "joint:b")];
+        assert!(!is_sum(&sum, &elsewhere), "friction of another joint");
+        assert!(
+            !is_sum(&sum, &[rubs.clone(), at(Effect::ConstantForce, "joint:b")]),
+            "a push on another joint"
+        );
+        assert!(!is_sum(&sum, &[rubs.clone(), at(Effect::Delay, "input:u")]));
+        assert!(!is_sum(&rubs, &[sum.clone(), at(Effect::Offset, "input:u")]));
+    }
 }

@@ -57,6 +57,27 @@ fn a_single_cause_stays_alone() {
     assert_eq!(names(&report), ["lag"], "{}", report.summary);
 }
 
+/// A constant friction and a constant push are the same, and two.
+#[test]
+fn friction_that_differs_by_direction_stays_alone() {
+    for (forward, backward, seed) in [(0.045, 0.012, 17), (0.01, 0.05, 18)] {
+        let report = diagnose(Hidden { forward, backward, ..Hidden::default() }, seed);
+        assert_eq!(names(&report), ["asymmetric_friction"], "{}", report.summary);
+        let found = |name: &str| report.which[0].effects[0].parameters[name].value;
+        let off = (found("forward") - forward).abs().max((found("backward") - backward).abs());
+        assert!(off < 0.006, "{}", report.summary);
+    }
+}
+
+/// No form of the library is quite so; what its nearest form leaves is no second cause.
+#[test]
+fn a_form_that_is_off_has_nothing_beside_it() {
+    let bent = diagnose(Hidden { bend: 1.6, ..Hidden::default() }, 20);
+    assert!(["saturation", "supply_sag"].contains(&&*names(&bent).join(" ")), "{}", bent.summary);
+    let soft = diagnose(Hidden { soft_deadband: 0.4, ..Hidden::default() }, 24);
+    assert_eq!(names(&soft), ["deadband"], "{}", soft.summary);
+}
+
 /// A spring that stands for the wave of the poles closes all but a hundredth of what the filter leaves, and far from all of it.
 #[test]
 fn a_wave_beside_a_sensor_that_is_behind_stays_a_wave() {

@@ -39,6 +39,10 @@ pub(crate) struct Hidden {
     pub(crate) offset: f64,
     pub(crate) limit: Option<f64>,
     pub(crate) deadband: f64,
+    /// Where a command has hardly begun to act: it does so little by little.
+    pub(crate) soft_deadband: f64,
+    /// Where a command bends towards its limit, as a hyperbolic tangent.
+    pub(crate) bend: f64,
     pub(crate) viscous: f64,
     pub(crate) forward: f64,
     pub(crate) backward: f64,
@@ -135,6 +139,12 @@ pub(crate) fn record(hidden: Hidden, seed: u64, duration: f64) -> Experiment {
         let index = ((late / period + 1e-9).floor().max(0.0)) as usize;
         let mut u = held.values[index.min(held.values.len() - 1)];
         u += hidden.offset;
+        if hidden.soft_deadband > 0.0 {
+            u *= 1.0 - (-(u / hidden.soft_deadband).powi(2)).exp();
+        }
+        if hidden.bend > 0.0 {
+            u = hidden.bend * (u / hidden.bend).tanh();
+        }
         if let Some(limit) = hidden.limit {
             u = u.max(-limit).min(limit);
         }
