@@ -118,6 +118,19 @@ fn an_experiment_says_what_it_cannot_use() {
 }
 
 #[test]
+fn an_experiment_says_what_it_leaves_alike_and_what_a_sensor_would_tell() {
+    let folder = with_sine();
+    ends(&folder, 0, &[&DIAGNOSE[..], &["sine", "--out", "first"]].concat());
+    let (command, reading) = ("delay@input:u", "delay@output:position");
+    // With these sensors the answer is no.
+    let (said, _) = ends(&folder, 1, &["experiment", "first", "--effect", command, "--effect", reading]);
+    assert!(said.contains("impossible with these sensors; add a sensor of"), "{said}");
+    let three = ["experiment", "first", "--effect", command, "--effect", "lag@input:u", "--effect", reading];
+    let (said, _) = ends(&folder, 0, &three);
+    assert!(said.contains(&format!("leaves {command} and {reading} alike; with a sensor of")), "{said}");
+}
+
+#[test]
 fn choices_of_effects_are_checked_and_followed() {
     let folder = with_sine();
     let refused = |more: &[&str], parts: &[&str]| {

@@ -85,7 +85,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     } else {
         print(&design, &out, made_from);
     }
-    Ok(if design.narrows() { Outcome::Done } else { Outcome::Negative })
+    // What asks for another sensor tells nothing with these, unless it is for the rest.
+    let tells = design.narrows() && (design.sensor.is_none() || !design.alike.is_empty());
+    Ok(if tells { Outcome::Done } else { Outcome::Negative })
 }
 
 fn read(file: &Path) -> Result<Report, Failure> {
