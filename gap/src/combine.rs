@@ -3,6 +3,7 @@
 mod grow;
 mod promise;
 mod shorten;
+mod waves;
 
 use std::cell::OnceCell;
 
@@ -91,6 +92,7 @@ pub fn combinations(setup: &Setup, null: &Fit, fits: &[Fit], forms: &[EffectAt],
         let known = |other: &Fit| same(&other.hypothesis.effects, &base.hypothesis.effects);
         if base.hypothesis.effects.len() < 2
             || found.iter().any(known)
+            || waves::are_one(&base)
             || combine.explained_by_one(&base, fits)
             || combine.explained_by_one(&base, &found)
         {
