@@ -171,11 +171,12 @@ impl Judge {
         let mut windows = fit.shooting_cost;
         // States beyond the nominal ones are free in each window: they may follow there what the hypothesis does not
         // explain, and pay each time for what is not known of them. The filter carries them from window to window: its
-        // gain takes the place of the windows', or bounds it.
+        // gain takes the place of the windows', or bounds it: what does not follow the windows though it is free in each is off.
         if fit.innovation.pass.states() > self.states {
             let (plain_windows, plain_innovations) = self.plain;
             let carried = plain_windows + innovations - plain_innovations;
-            windows = if self.bounded { windows.max(carried) } else { carried };
+            let bounded = self.bounded || fit.shooting_error > INEXACT;
+            windows = if bounded { windows.max(carried) } else { carried };
         }
         let windows = self.independence * windows;
         if self.exact { 0.5 * (innovations + windows) } else { windows }
