@@ -93,13 +93,12 @@ pub fn combinations(setup: &Setup, null: &Fit, fits: &[Fit], forms: &[EffectAt],
         if base.hypothesis.effects.len() < 2
             || found.iter().any(known)
             || waves::are_one(&base)
-            || combine.explained_by_one(&base, fits)
-            || combine.explained_by_one(&base, &found)
+            || combine.explained_by_one(&base, fits.iter().chain(&found))
         {
             continue;
         }
         let singles = combine.restarted(&base);
-        if !combine.explained_by_one(&base, &singles) {
+        if !combine.explained_by_one(&base, singles.iter()) {
             let others = combine.twins(&base);
             found.push(base);
             found.extend(others);
@@ -161,14 +160,14 @@ impl Combine<'_> {
 
     /// Whether a single effect with which the noise is reached explains as much as several do, whichever they began with, or, where
     /// some hypothesis reaches it, one of them: then these only share out what the one does. One that is their sum need not,
-    /// where it reaches the noise.
-    fn explained_by_one(&self, fit: &Fit, singles: &[Fit]) -> bool {
+    /// where it reaches the noise. Of the `others` only single effects count.
+    fn explained_by_one<'f>(&self, fit: &Fit, others: impl Iterator<Item = &'f Fit>) -> bool {
         let complete = OnceCell::new();
         let complete = || *complete.get_or_init(|| leaves_nothing(self.setup, fit, &self.pool));
         let own =
             |single: &Fit| single.hypothesis.effects.iter().all(|at| fit.hypothesis.effects.contains(at));
         let exact = |single: &Fit| single.shooting_error <= INEXACT;
-        let singles = singles.iter().filter(|single| single.hypothesis.effects.len() == 1);
+        let singles = others.filter(|other| other.hypothesis.effects.len() == 1);
         let mut enough = singles.filter(|single| exact(single) || (self.judge.is_exact() && own(single)));
         enough.any(|single| {
             is_sum(&single.hypothesis.effects[0], &fit.hypothesis.effects) && exact(single)

@@ -141,6 +141,12 @@ impl Hypothesis {
         (0..self.fitted.len()).filter(move |k| is_limit(&self.fitted[*k]))
     }
 
+    /// The entries of θ that are parameters of one of its effects.
+    pub(crate) fn of_effect(&self, effect: usize) -> impl Iterator<Item = usize> {
+        let own = move |f: &Fitted| matches!(f.slot, Slot::Effect { effect: of, .. } if of == effect);
+        (0..self.fitted.len()).filter(move |k| own(&self.fitted[*k]))
+    }
+
     /// `delay@input:u + coulomb@joint:axis`, or `no effect`.
     #[must_use]
     pub fn label(&self) -> String {

@@ -168,6 +168,13 @@ fn friction_by_direction_is_not_told_from_a_bias_by_how_a_model_creeps() {
 }
 
 #[test]
+fn what_a_log_tells_apart_already_an_experiment_does_too() {
+    // The worse one is followed by a filter that believes in more noise: how far the other's model is off weighs no more.
+    let design = rubbing(SYSTEM, &["coulomb@joint:axis", "delay@input:u"]);
+    assert!(design.separates() && design.sensor.is_none(), "{design}");
+}
+
+#[test]
 fn an_experiment_may_tell_one_of_three() {
     let design =
         rubbing(&biased(), &["coulomb@joint:axis", "backlash@input:u", "asymmetric_friction@joint:axis"]);

@@ -96,7 +96,7 @@ fn panel(pen: &mut Pen, output: &Reconstruction, series: &Series, top: f64, wide
         pen.text("tick", (left - 6.0, y(*value) + 4.0), Anchor::End, label);
     }
     for time in multiples(from, to, step((to - from) / if wide > 500.0 { 8.0 } else { 4.0 })) {
-        pen.text("tick", (x(time), top + PANEL + 16.0), Anchor::Middle, &number(time, 4));
+        pen.text_within("tick", (x(time), top + PANEL + 16.0), wide, &number(time, 4));
     }
     pen.text("soft", (wide - 4.0, top + PANEL + 30.0), Anchor::End, "s since the start");
     let wraps = output.wrap.map_or(f64::INFINITY, |period| 0.5 * period);

@@ -5,7 +5,6 @@ use rayon::prelude::*;
 
 use super::promise::leaves_nothing;
 use super::{Combine, same};
-use crate::hypothesis::Slot;
 use crate::library;
 use crate::search::{Fit, fit_hypothesis, fit_part};
 use crate::stop::SEVERAL;
@@ -85,12 +84,7 @@ fn is_certain(fit: &Fit, effect: usize) -> bool {
     if fit.hypothesis.effects[effect].effect == Effect::Parameter {
         return false;
     }
-    let values = fit.theta().iter().zip(fit.innovation.minimum.std());
-    let own = fit
-        .hypothesis
-        .fitted
-        .iter()
-        .zip(values)
-        .filter(|(f, _)| matches!(f.slot, Slot::Effect { effect: of, .. } if of == effect));
-    own.map(|(f, (value, std))| (value - f.null).abs() / std).all(|away| away > CERTAIN)
+    let (fitted, std) = (&fit.hypothesis.fitted, fit.innovation.minimum.std());
+    let away = |k: usize| (fit.theta()[k] - fitted[k].null).abs() / std[k];
+    fit.hypothesis.of_effect(effect).all(|k| away(k) > CERTAIN)
 }

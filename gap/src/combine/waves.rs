@@ -2,7 +2,6 @@
 
 use parallax_model::effect::Effect;
 
-use crate::hypothesis::Slot;
 use crate::search::Fit;
 
 /// The highest multiple: what is less of a wave than its ninth harmonic shows nowhere.
@@ -18,8 +17,8 @@ const NEAR: f64 = 0.002;
 pub(super) fn are_one(fit: &Fit) -> bool {
     let std = fit.innovation.minimum.std();
     let frequency = |effect: usize| {
-        let own = |slot: &Slot| matches!(slot, Slot::Effect { effect: of, .. } if *of == effect);
-        let at = fit.hypothesis.fitted.iter().position(|f| own(&f.slot) && f.name == "frequency")?;
+        let mut own = fit.hypothesis.of_effect(effect);
+        let at = own.find(|k| fit.hypothesis.fitted[*k].name == "frequency")?;
         Some((fit.theta()[at], std[at]))
     };
     let effects = fit.hypothesis.effects.iter().enumerate();

@@ -39,7 +39,7 @@ impl Apart {
         is_enough(self.worst().1)
     }
 
-    /// The candidates that stay together because no chain of separated pairs lies between them; in their order.
+    /// The candidates in groups, in their order: those that a chain of pairs which are not separated holds together.
     pub(super) fn groups(&self) -> Vec<Vec<usize>> {
         let mut group: Vec<usize> = (0..self.count).collect();
         for a in 0..self.count {

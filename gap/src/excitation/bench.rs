@@ -251,11 +251,13 @@ impl<'a> Bench<'a> {
         }
         let mut apart = Apart::nowhere(self.candidates.len());
         for (truth, readings) in shown.iter().enumerate() {
-            let away = |k: usize| trial.separation(readings, self.candidates[k], &noise(k)).powi(2);
-            // As far as the truth is from itself another one may be as well, and by chance not be.
-            let own = if sticks { 2.0 * away(truth) } else { 0.0 };
+            let away =
+                |k: usize, noise: &Noise| trial.separation(readings, self.candidates[k], noise).powi(2);
             for other in (0..self.candidates.len()).filter(|other| *other != truth) {
-                apart.keep(truth, other, (away(other) - own).max(0.0).sqrt());
+                let noise = noise(other);
+                // As far as the truth is from itself, to the same noise, another one may be as well, and by chance not be.
+                let own = if sticks { 2.0 * away(truth, &noise) } else { 0.0 };
+                apart.keep(truth, other, (away(other, &noise) - own).max(0.0).sqrt());
             }
         }
         let reach = (0..shown[0].reach.len()).map(|o| {

@@ -8,7 +8,6 @@
 use parallax_model::effect::{Effect, PlaceKind};
 
 use super::place_index;
-use crate::hypothesis::Slot;
 use crate::search::{Fit, INEXACT};
 use crate::setup::Setup;
 use crate::statistics::standard_deviation;
@@ -42,9 +41,8 @@ pub fn is_possible(setup: &Setup, fit: &Fit) -> bool {
     fit.hypothesis.effects.iter().enumerate().all(|(number, at)| {
         let Some(index) = place_index(setup, &at.place) else { return true };
         let value = |name: &str| {
-            let own = |slot: &Slot| matches!(slot, Slot::Effect { effect, .. } if *effect == number);
-            let fitted = fit.hypothesis.fitted.iter().zip(fit.estimate());
-            fitted.filter(|(f, _)| own(&f.slot) && f.name == name).map(|(_, value)| *value).next()
+            let mut own = fit.hypothesis.of_effect(number);
+            own.find(|k| fit.hypothesis.fitted[*k].name == name).map(|k| fit.estimate()[k])
         };
         let (low, high) = (value("low").unwrap_or(f64::NEG_INFINITY), value("high").unwrap_or(f64::INFINITY));
         match (at.effect, at.place.kind) {

@@ -142,6 +142,16 @@ impl Pen {
         ));
     }
 
+    /// A text in the middle of its position, or ending at `edge` where it would reach beyond it; it is escaped.
+    pub fn text_within(&mut self, class: &str, at: (f64, f64), edge: f64, text: &str) {
+        // What a text is wide is a guess: within a pixel of the edge it may be beyond.
+        if at.0 + 0.5 * width(text, 11.0) > edge - 1.0 {
+            self.text(class, (edge, at.1), Anchor::End, text);
+        } else {
+            self.text(class, at, Anchor::Middle, text);
+        }
+    }
+
     /// Lines through points; a run of one point becomes a dot as wide as the line.
     pub fn runs(&mut self, class: &str, runs: &[Vec<(f64, f64)>]) {
         let mut path = String::new();
@@ -172,6 +182,17 @@ mod tests {
     #[test]
     fn text_is_escaped() {
         assert_eq!(escape("a<b> & \"c\" 'd'\u{0}"), "a&lt;b&gt; &amp; &quot;c&quot; &#39;d&#39;\u{fffd}");
+    }
+
+    #[test]
+    fn a_text_ends_at_the_edge() {
+        let drawn = |x: f64| {
+            let mut pen = Pen::default();
+            pen.text_within("tick", (x, 5.0), 100.0, "3.0");
+            pen.into_elements()
+        };
+        assert_eq!(drawn(50.0), "<text class=\"tick\" x=\"50\" y=\"5\" text-anchor=\"middle\">3.0</text>");
+        assert_eq!(drawn(97.0), "<text class=\"tick\" x=\"100\" y=\"5\" text-anchor=\"end\">3.0</text>");
     }
 
     #[test]

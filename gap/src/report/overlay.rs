@@ -8,6 +8,9 @@ use super::draw::{self, Anchor, Pen};
 use super::format;
 use super::readings::{Readings, thin};
 
+/// What is left free right of a panel (px).
+const MARGIN: f64 = 4.0;
+
 /// A part of the drawing: where it stands, how wide it is, how high its two panels are (px).
 #[derive(Clone, Copy)]
 pub(super) struct Frame {
@@ -94,7 +97,7 @@ pub(super) fn column(
         scale.ticks.iter().map(|(_, label)| draw::width(label, 11.0)).fold(0.0, |a: f64, b| a.max(b))
     };
     let left = frame.x + widest(&values).max(widest(&residuals)) + 10.0;
-    let right = frame.x + frame.width - 4.0;
+    let right = frame.x + frame.width - MARGIN;
     let stretches = axis::stretches(&readings.stamp, pieces, left, right);
     let panel = Panel { left, right, top: frame.y + TITLE, height: frame.values };
     let strip = Panel { top: panel.top + panel.height + BETWEEN, height: frame.residuals, ..panel };
@@ -285,6 +288,7 @@ fn time_axis(pen: &mut Pen, stretches: &[Stretch], y: f64) {
     let places = |step| usize::try_from((-format::exponent(step)).clamp(0, 9)).unwrap_or(0);
     let decimals = places(step);
     let mut free = f64::NEG_INFINITY;
+    let edge = stretches.last().map_or(0.0, |last| last.x.1 + MARGIN);
     for (i, stretch) in stretches.iter().enumerate() {
         pen.line("axis", (stretch.x.0, y), (stretch.x.1, y));
         if i > 0 {
@@ -309,7 +313,7 @@ fn time_axis(pen: &mut Pen, stretches: &[Stretch], y: f64) {
             let text = draw::typeset(&format!("{:.decimals$}", tick + 0.0));
             let half = draw::width(&text, 11.0) / 2.0;
             if x - half > free {
-                pen.text("tick", (x, y + 16.0), Anchor::Middle, &text);
+                pen.text_within("tick", (x, y + 16.0), edge, &text);
                 free = x + half + 4.0;
             }
         }

@@ -112,10 +112,9 @@ impl Fit {
     /// Whether a parameter of an effect does not differ from its null: it speaks for a form without it.
     #[must_use]
     pub fn has_spare(&self, effect: usize) -> bool {
-        let fitted = self.hypothesis.fitted.iter().zip(self.estimate()).zip(self.untempered());
-        fitted
-            .filter(|((f, _), _)| matches!(f.slot, Slot::Effect { effect: of, .. } if of == effect))
-            .any(|((f, value), std)| (value - f.null).abs() < SIGNIFICANT * std)
+        let (fitted, value, std) = (&self.hypothesis.fitted, self.estimate(), self.untempered());
+        let near = |k: usize| (value[k] - fitted[k].null).abs() < SIGNIFICANT * std[k];
+        self.hypothesis.of_effect(effect).any(near)
     }
 
     /// The parameters by innovation likelihood, at which the evidence was taken.
