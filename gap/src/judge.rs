@@ -30,6 +30,9 @@ const NUMERICAL: f64 = 1e-6;
 /// Share of the gap up to which one hypothesis may explain more than another because of its form alone.
 const FORM: f64 = 0.1;
 
+/// Share of what a combination leaves, up to which another effect may leave it where nothing reaches the noise.
+const HALF: f64 = 0.5;
+
 /// Mean squared error of short windows, in noise units squared, up to which nothing is left but noise.
 const AT_FLOOR: f64 = 1.03;
 
@@ -117,12 +120,55 @@ impl Judge {
     pub fn is_worth_or(&self, fit: &Fit, base: &Fit, complete: impl FnOnce() -> bool) -> bool {
         let same = || (base.shooting_error - fit.shooting_error).abs() < NUMERICAL * self.gap;
         if self.is_worth(fit, base) {
-            return fit.shooting_error <= AT_FLOOR || self.beyond_form(fit, base) >= 1.0 || complete();
+            return fit.shooting_error <= AT_FLOOR
+                || self.beyond_form(fit, base) >= 1.0
+                || self.halves(fit, base)
+                || complete();
         }
         let known = &base.hypothesis.effects;
         let tuned =
             || fit.hypothesis.effects.iter().any(|at| at.effect == Effect::Parameter && !known.contains(at));
         base.shooting_error <= INEXACT && self.gains(fit, base) && !same() && !tuned() && complete()
+    }
+
+    /// Whether `fit` explains more than `other`, which has as many effects: clearly by what decides, or, where nothing reaches the noise,
+    /// decisively by the innovations if that says little.
+    #[must_use]
+    pub fn is_better(&self, fit: &Fit, other: &Fit) -> bool {
+        let (gain, innovations) = (
+            self.cost(other) - self.cost(fit),
+            other.innovation.evidence_cost - fit.innovation.evidence_cost,
+        );
+        gain > WORTH || (!self.exact && gain > -WORTH && innovations > DECISIVE)
+    }
+
+    /// The one of `fits` that explains most: of those that what decides does not clearly tell from the best the one that the innovations
+    /// prefer decisively.
+    #[must_use]
+    pub fn best<'a>(&self, fits: impl Iterator<Item = &'a Fit> + Clone) -> Option<&'a Fit> {
+        let least = fits.clone().min_by(|a, b| self.cost(a).total_cmp(&self.cost(b)))?;
+        let better = fits.filter(|fit| self.is_better(fit, least));
+        let by_innovations =
+            |a: &&Fit, b: &&Fit| a.innovation.evidence_cost.total_cmp(&b.innovation.evidence_cost);
+        Some(better.min_by(by_innovations).unwrap_or(least))
+    }
+
+    /// Whether a further effect elsewhere takes more than half of what is left, where nothing reaches the noise, and the innovations
+    /// prefer it decisively: a form that is off has no such remedy elsewhere.
+    fn halves(&self, fit: &Fit, base: &Fit) -> bool {
+        !self.exact
+            && !is_beside(fit, base)
+            && base.shooting_error - fit.shooting_error > MATERIAL_BESIDE * self.gap
+            && fit.shooting_error - 1.0 < HALF * (base.shooting_error - 1.0)
+            && fit.innovation.evidence_cost < base.innovation.evidence_cost - DECISIVE
+    }
+
+    /// [`Judge::cost`] of a fit with one effect more than `base`: what is no more than another form at a place of `base` must explain
+    /// decisively more than what acts elsewhere.
+    #[must_use]
+    pub fn cost_beyond(&self, fit: &Fit, base: &Fit) -> f64 {
+        let beside = !self.exact && is_beside(fit, base);
+        self.cost(fit) + if beside { DECISIVE } else { 0.0 }
     }
 
     /// Whether a further effect at a place of its own brings more than [`WORTH`] by both losses.

@@ -57,6 +57,11 @@ impl<'a> Combine<'a> {
         };
         let near = |fit: &Fit| judge.cost(fit) < judge.cost(&fits[0]) + RIVAL;
         let mut first: Vec<&Fit> = fits.iter().take(BASES).filter(|fit| helps(fit) && near(fit)).collect();
+        if let (false, [_, second]) = (judge.is_exact(), &mut first[..]) {
+            // What every hypothesis lacks decides little between those that explain less than the best.
+            let others = fits.iter().skip(1).filter(|fit| helps(fit));
+            *second = judge.best(others).unwrap_or(second);
+        }
         let Some(best) = first.first() else { return Beginnings { first, further: Vec::new() } };
         let promise = |base: &Fit| {
             let nuisance = Nuisance::new(base);
@@ -67,7 +72,10 @@ impl<'a> Combine<'a> {
             base.innovation.evidence_cost + count * (1.0 - most / all).max(1e-6).ln()
         };
         let mut rivals: Vec<(f64, &Fit)> = Vec::new();
-        for (k, fit) in fits.iter().enumerate().take(PROMISING).skip(first.len()) {
+        for (k, fit) in fits.iter().enumerate().take(PROMISING).skip(1) {
+            if first.iter().any(|known| std::ptr::eq(*known, fit)) {
+                continue;
+            }
             let twin = fits[..k].iter().any(|other| (judge.cost(other) - judge.cost(fit)).abs() < TWIN);
             if !twin && helps(fit) && !setup.stop.asked() {
                 rivals.push((promise(fit), fit));
@@ -128,9 +136,9 @@ impl<'a> Combine<'a> {
                 others.extend(self.extended(&rest));
             }
         }
-        let cost = |fit: &Fit| self.judge.cost(fit);
-        let best = others.into_iter().min_by(|a, b| cost(a).total_cmp(&cost(b)))?;
-        (cost(&best) < cost(fit) - WORTH).then_some(best)
+        let judge = &self.judge;
+        let best = judge.best(others.iter())?;
+        judge.is_better(best, fit).then(|| best.clone())
     }
 
     /// The best fit with one effect more, if any effect promises something.
@@ -181,7 +189,7 @@ impl<'a> Combine<'a> {
             self.judge = Judge::new(self.null, self.fits.iter().chain(&fits));
         }
         let judge = &self.judge;
-        let chosen = simplest(&fits, |fit| judge.cost(fit))?;
+        let chosen = simplest(&fits, |fit| judge.cost_beyond(fit, base))?;
         if base.shooting_error <= INEXACT {
             // With a model that is right the innovations say most: windows take a late sensor for another start.
             let small: Vec<Fit> = fits.iter().filter(|fit| judge.gains(fit, base)).cloned().collect();
