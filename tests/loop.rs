@@ -122,6 +122,10 @@ fn an_experiment_says_what_it_leaves_alike_and_what_a_sensor_would_tell() {
     let folder = with_sine();
     ends(&folder, 0, &[&DIAGNOSE[..], &["sine", "--out", "first"]].concat());
     let (command, reading) = ("delay@input:u", "delay@output:position");
+    let (_, errors) = ends(&folder, 2, &["experiment", "first", "--effect", "delay@input:v"]);
+    assert!(errors.contains("did you mean `delay@input:u`"), "{errors}");
+    let (_, errors) = ends(&folder, 2, &["experiment", "first", "--effect", command]);
+    assert!(errors.contains("two candidates"), "{errors}");
     // With these sensors the answer is no.
     let (said, _) = ends(&folder, 1, &["experiment", "first", "--effect", command, "--effect", reading]);
     assert!(said.contains("impossible with these sensors; add a sensor of"), "{said}");

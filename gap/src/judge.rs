@@ -135,11 +135,8 @@ impl Judge {
     /// decisively by the innovations if that says little.
     #[must_use]
     pub fn is_better(&self, fit: &Fit, other: &Fit) -> bool {
-        let (gain, innovations) = (
-            self.cost(other) - self.cost(fit),
-            other.innovation.evidence_cost - fit.innovation.evidence_cost,
-        );
-        gain > WORTH || (!self.exact && gain > -WORTH && innovations > DECISIVE)
+        let gain = self.cost(other) - self.cost(fit);
+        gain > WORTH || (!self.exact && gain > -WORTH && is_preferred(fit, other))
     }
 
     /// The one of `fits` that explains most: of those that what decides does not clearly tell from the best the one that the innovations
@@ -160,7 +157,7 @@ impl Judge {
             && !is_beside(fit, base)
             && base.shooting_error - fit.shooting_error > MATERIAL_BESIDE * self.gap
             && fit.shooting_error - 1.0 < HALF * (base.shooting_error - 1.0)
-            && fit.innovation.evidence_cost < base.innovation.evidence_cost - DECISIVE
+            && is_preferred(fit, base)
     }
 
     /// [`Judge::cost`] of a fit with one effect more than `base`: what is no more than another form at a place of `base` must explain
@@ -227,6 +224,11 @@ impl Judge {
         let windows = self.independence * windows;
         if self.exact { 0.5 * (innovations + windows) } else { windows }
     }
+}
+
+/// Whether the innovations prefer `fit` decisively.
+fn is_preferred(fit: &Fit, other: &Fit) -> bool {
+    fit.innovation.evidence_cost < other.innovation.evidence_cost - DECISIVE
 }
 
 /// Whether `fit` has more effects than `base`, all of them where `base` has some.

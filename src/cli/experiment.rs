@@ -49,8 +49,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         false => arguments.diagnosis.clone(),
     };
     let report = read(&file)?;
-    let effects = if arguments.effect.is_empty() { alike(&report) } else { arguments.effect.clone() };
-    if effects.len() < 2 {
+    let asked = !arguments.effect.is_empty();
+    let effects = if asked { arguments.effect.clone() } else { alike(&report) };
+    if !asked && effects.len() < 2 {
         let leader = effects.first().map_or_else(String::new, |effect| format!(": {effect} stands alone"));
         output::line(format!("the diagnosis leaves nothing to tell apart{leader}"));
         return Ok(Outcome::Negative);

@@ -58,7 +58,7 @@ impl<'a> Combine<'a> {
         let near = |fit: &Fit| judge.cost(fit) < judge.cost(&fits[0]) + RIVAL;
         let mut first: Vec<&Fit> = fits.iter().take(BASES).filter(|fit| helps(fit) && near(fit)).collect();
         if let (false, [_, second]) = (judge.is_exact(), &mut first[..]) {
-            // What every hypothesis lacks decides little between those that explain less than the best.
+            // Of those behind the best, where all lack something, windows that hardly differ say little.
             let others = fits.iter().skip(1).filter(|fit| helps(fit));
             *second = judge.best(others).unwrap_or(second);
         }
@@ -72,12 +72,10 @@ impl<'a> Combine<'a> {
             base.innovation.evidence_cost + count * (1.0 - most / all).max(1e-6).ln()
         };
         let mut rivals: Vec<(f64, &Fit)> = Vec::new();
-        for (k, fit) in fits.iter().enumerate().take(PROMISING).skip(1) {
-            if first.iter().any(|known| std::ptr::eq(*known, fit)) {
-                continue;
-            }
+        for (k, fit) in fits.iter().enumerate().take(PROMISING) {
+            let known = first.iter().any(|known| std::ptr::eq(*known, fit));
             let twin = fits[..k].iter().any(|other| (judge.cost(other) - judge.cost(fit)).abs() < TWIN);
-            if !twin && helps(fit) && !setup.stop.asked() {
+            if !known && !twin && helps(fit) && !setup.stop.asked() {
                 rivals.push((promise(fit), fit));
             }
         }

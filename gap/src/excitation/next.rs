@@ -50,9 +50,10 @@ pub fn propose(
 ) -> Result<Design, ProposeError> {
     let raw = Raw::of(&equations, &experiment);
     let (setup, null) = prepare(equations, &experiment, &raw, title, options)?;
+    let choices: Vec<Vec<Vec<EffectAt>>> =
+        effects.iter().map(|label| named(&setup, label)).collect::<Result<_, _>>()?;
     let mut fits = Vec::new();
-    for label in effects {
-        let forms = named(&setup, label)?;
+    for forms in choices {
         let fit = forms.into_iter().map(|at| fit_hypothesis(&setup, &null, library::hypothesis(&setup, &at)));
         // Of several forms of one effect the one that the log likes best.
         fits.extend(fit.min_by(|a, b| a.innovation.evidence_cost.total_cmp(&b.innovation.evidence_cost)));
