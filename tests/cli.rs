@@ -251,7 +251,18 @@ fn systems_that_do_not_fit() {
 #[test]
 fn benchmarks_that_cannot_be_made() {
     let folder = with_log();
-    let sets = ["singles", "nulls", "other-form", "pairs", "outside", "poor", "short", "leave-out"];
+    let sets = [
+        "singles",
+        "nulls",
+        "other-form",
+        "pairs",
+        "outside",
+        "poor",
+        "short",
+        "leave-out",
+        "rough",
+        "rough-nulls",
+    ];
     let none = sets.map(|set| format!("--{set}=0"));
     let none: Vec<&str> = ["withheld"].into_iter().chain(none.iter().map(String::as_str)).collect();
     fail(&folder, &none, 2, &["no case is asked for"]);

@@ -122,7 +122,18 @@ fn a_second_ctrl_c_ends_at_once() {
 fn an_interrupted_benchmark_goes_on_where_it_was() {
     let folder = tempfile::tempdir().unwrap();
     let run = |more: &[&str]| {
-        let sets = ["singles", "nulls", "other-form", "pairs", "outside", "poor", "short", "leave-out"];
+        let sets = [
+            "singles",
+            "nulls",
+            "other-form",
+            "pairs",
+            "outside",
+            "poor",
+            "short",
+            "leave-out",
+            "rough",
+            "rough-nulls",
+        ];
         let counts = sets.map(|set| format!("--{set}={}", u32::from(set == "singles") * 2));
         let counts = counts.iter().map(String::as_str);
         let all = ["withheld", "--dev-seed", "7", "--out", "run", "--separate", "0", "--json"].into_iter();

@@ -9,7 +9,7 @@ use std::process::{Command, Output};
 use serde_json::Value;
 
 /// One single and one null, nothing else, from a seed for development.
-const TWO: [&str; 20] = [
+const TWO: [&str; 24] = [
     "--dev-seed",
     "5",
     "--singles",
@@ -27,6 +27,10 @@ const TWO: [&str; 20] = [
     "--short",
     "0",
     "--leave-out",
+    "0",
+    "--rough",
+    "0",
+    "--rough-nulls",
     "0",
     "--separate",
     "0",

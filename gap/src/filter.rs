@@ -15,6 +15,7 @@ mod found;
 mod lanes;
 mod likelihood;
 mod mend;
+mod random;
 mod refit;
 mod uncertainty;
 

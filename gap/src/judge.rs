@@ -33,6 +33,10 @@ const FORM: f64 = 0.1;
 /// Share of what a combination leaves, up to which another effect may leave it where nothing reaches the noise.
 const HALF: f64 = 0.5;
 
+/// Variance ratio of innovations up to which they are as good as random, and up to which they may be with yet another effect.
+const RANDOM: f64 = 5.0;
+const NEARLY_RANDOM: f64 = 10.0;
+
 /// Mean squared error of short windows, in noise units squared, up to which nothing is left but noise.
 const AT_FLOOR: f64 = 1.03;
 
@@ -53,6 +57,8 @@ pub fn share_of_form(explained: f64, gap: f64) -> f64 {
 pub struct Judge {
     independence: f64,
     exact: bool,
+    /// How many independent innovations one is worth, at most 1, where nothing reaches the noise.
+    trust: f64,
     /// The null model's mean squared residual beyond the noise, in noise units squared.
     gap: f64,
     /// The number of states of the nominal model.
@@ -85,7 +91,11 @@ impl Judge {
         }
         let plain = (plain.shooting_cost, plain.innovation.evidence_cost);
         let gap = (null.shooting_error - 1.0).max(0.0);
-        Judge { independence: best.independence, exact, gap, states, plain, bounded }
+        let by_innovations =
+            |a: &&Fit, b: &&Fit| a.innovation.evidence_cost.total_cmp(&b.innovation.evidence_cost);
+        let likeliest = all().chain([null]).min_by(by_innovations).unwrap_or(null);
+        let trust = if exact { 1.0 } else { 1.0 / likeliest.variance_ratio.max(1.0) };
+        Judge { independence: best.independence, exact, trust, gap, states, plain, bounded }
     }
 
     /// Whether `fit`, which has more effects than `base`, is worth them.
@@ -109,6 +119,7 @@ impl Judge {
         };
         self.exact
             || fit.shooting_error <= INEXACT
+            || self.leaves_chance(fit, base)
             || (fit.innovation.evidence_cost < base.innovation.evidence_cost
                 && fit.output_errors.iter().zip(&base.output_errors).any(closes))
     }
@@ -123,6 +134,7 @@ impl Judge {
             return fit.shooting_error <= AT_FLOOR
                 || self.beyond_form(fit, base) >= 1.0
                 || self.halves(fit, base)
+                || self.leaves_chance(fit, base)
                 || complete();
         }
         let known = &base.hypothesis.effects;
@@ -136,7 +148,7 @@ impl Judge {
     #[must_use]
     pub fn is_better(&self, fit: &Fit, other: &Fit) -> bool {
         let gain = self.cost(other) - self.cost(fit);
-        gain > WORTH || (!self.exact && gain > -WORTH && is_preferred(fit, other))
+        gain > WORTH || (!self.exact && gain > -WORTH && self.prefers(fit, other))
     }
 
     /// The one of `fits` that explains most: of those that what decides does not clearly tell from the best the one that the innovations
@@ -157,7 +169,31 @@ impl Judge {
             && !is_beside(fit, base)
             && base.shooting_error - fit.shooting_error > MATERIAL_BESIDE * self.gap
             && fit.shooting_error - 1.0 < HALF * (base.shooting_error - 1.0)
-            && is_preferred(fit, base)
+            && self.prefers(fit, base)
+    }
+
+    /// Whether both losses prefer a further effect elsewhere where nothing reaches the noise, and it leaves innovations that are as good
+    /// as random: then their likelihood is that of the data, and no form is off by more than chance; nor does a calibrated parameter stand
+    /// in for one at its bound.
+    fn leaves_chance(&self, fit: &Fit, base: &Fit) -> bool {
+        fit.variance_ratio <= RANDOM && !fit.is_strained() && self.both_prefer(fit, base)
+    }
+
+    /// The same of one that leaves not much more than chance: yet another one may.
+    #[must_use]
+    pub fn nearly_leaves_chance(&self, fit: &Fit, base: &Fit) -> bool {
+        fit.variance_ratio <= NEARLY_RANDOM && self.both_prefer(fit, base)
+    }
+
+    /// Whether both losses prefer a further effect elsewhere, where nothing reaches the noise.
+    fn both_prefer(&self, fit: &Fit, base: &Fit) -> bool {
+        let windows = self.independence * (base.shooting_cost - fit.shooting_cost);
+        !self.exact && !is_beside(fit, base) && windows > WORTH && self.prefers(fit, base)
+    }
+
+    /// Whether the innovations prefer `fit` decisively, for what they count.
+    fn prefers(&self, fit: &Fit, other: &Fit) -> bool {
+        self.trust * (other.innovation.evidence_cost - fit.innovation.evidence_cost) > DECISIVE
     }
 
     /// [`Judge::cost`] of a fit with one effect more than `base`: what is no more than another form at a place of `base` must explain
@@ -224,11 +260,6 @@ impl Judge {
         let windows = self.independence * windows;
         if self.exact { 0.5 * (innovations + windows) } else { windows }
     }
-}
-
-/// Whether the innovations prefer `fit` decisively.
-fn is_preferred(fit: &Fit, other: &Fit) -> bool {
-    fit.innovation.evidence_cost < other.innovation.evidence_cost - DECISIVE
 }
 
 /// Whether `fit` has more effects than `base`, all of them where `base` has some.

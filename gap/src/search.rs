@@ -209,18 +209,6 @@ struct Screened {
     cost: f64,
 }
 
-/// Whether a fit that leaves more than noise has pushed a calibrated parameter to its bound: to stand in for what it lacks,
-/// it has left the region where the machine is, and what it lacks may not be reached from there.
-fn is_strained(fit: &Fit) -> bool {
-    fit.shooting_error > INEXACT
-        && fit
-            .hypothesis
-            .fitted
-            .iter()
-            .enumerate()
-            .any(|(k, f)| matches!(f.slot, Slot::Nominal(_)) && fit.rests(k))
-}
-
 /// Follows every start of a hypothesis for a few steps, on a sample of the windows.
 fn screen(setup: &Setup, base: &Fit, hypothesis: Hypothesis) -> Screened {
     let simulator = library::simulator(setup, &hypothesis, Vec::new());
@@ -230,7 +218,7 @@ fn screen(setup: &Setup, base: &Fit, hypothesis: Hypothesis) -> Screened {
     for start in &mut starts {
         continue_from(base, &hypothesis, start);
     }
-    if is_strained(base) {
+    if base.is_strained() {
         starts.extend(declared);
     }
     let first = starts.first().cloned().unwrap_or_default();

@@ -80,10 +80,10 @@ fn record() -> Experiment {
     }
 }
 
-/// The zero closes little beside the friction, and more than half of what that leaves. What the heavy joint's friction explains is less
-/// than the form of the first may be off by: it is not named, and the elbow's force makes up for a part of it.
+/// The zero and the heavy joint's friction close little beside that of the elbow, less than the form of its friction may be off by. But with all
+/// three what is left is as good as random.
 #[test]
-fn a_small_cause_elsewhere_is_named_where_nothing_reaches_the_noise() {
+fn small_causes_elsewhere_are_named_where_what_is_left_is_random() {
     let equations =
         System::parse(SYSTEM, "double-pendulum.toml").expect("valid").equations().expect("complete");
     let only = ["joint:shoulder", "joint:elbow", "bias"].map(|text| text.parse().expect("a selection"));
@@ -92,9 +92,11 @@ fn a_small_cause_elsewhere_is_named_where_nothing_reaches_the_noise() {
     let report = found.expect("it can be diagnosed").report;
     let effects = &report.which[0].effects;
     let labels: Vec<String> = effects.iter().map(|effect| effect.label()).collect();
-    assert_eq!(labels, ["coulomb@joint:elbow", "bias@output:pos_meas2"], "{}", report.summary);
+    let causes = ["coulomb@joint:elbow", "bias@output:pos_meas2", "coulomb@joint:shoulder"];
+    assert_eq!(labels, causes, "{}", report.summary);
     let value = |k: usize, name: &str| effects[k].parameters[name].value;
-    assert!((value(0, "force") - FRICTION[1]).abs() < 0.05, "{}", report.summary);
+    assert!((value(0, "force") - FRICTION[1]).abs() < 0.02, "{}", report.summary);
+    assert!((value(2, "force") - FRICTION[0]).abs() < 0.06, "{}", report.summary);
     assert!((value(1, "bias") - ZERO).abs() < 0.02, "{}", report.summary);
     assert!(report.how_far.closed_by_effect.value > 0.95, "{}", report.summary);
 }

@@ -88,26 +88,34 @@ impl<'a> Combine<'a> {
         Beginnings { first, further }
     }
 
-    /// A fit with further effects, one by one.
+    /// A fit with further effects, one by one. One that is not worth it may be with yet another one, where the two leave what is as good
+    /// as random.
     pub(super) fn grown(&mut self, mut base: Fit) -> Grown {
         let (mut again, mut rejected) = (None, None);
+        let mut sure = base.clone();
         while base.hypothesis.effects.len() < MOST && !self.setup.stop.leaves_out(|| SEVERAL.into()) {
             let Some(next) = self.extended(&base) else { break };
             if base.hypothesis.effects.len() == 1 && again.is_none() {
                 again = self.again(&base, &next);
                 if let Some(single) = &again {
                     base = single.clone();
+                    sure = single.clone();
                     continue;
                 }
             }
             let complete = || leaves_nothing(self.setup, &next, &self.pool);
-            if !self.judge.is_worth_or(&next, &base, complete) || !self.judge.is_worth(&next, self.null) {
-                rejected = Some(next);
-                break;
+            let judge = &self.judge;
+            if judge.is_worth_or(&next, &base, complete) && judge.is_worth(&next, self.null) {
+                (sure, rejected) = (next.clone(), None);
+            } else {
+                rejected = rejected.or_else(|| Some(next.clone()));
+                if !judge.is_worth(&next, &base) || !judge.nearly_leaves_chance(&next, &base) {
+                    break;
+                }
             }
             base = next;
         }
-        Grown { fit: base, again, rejected }
+        Grown { fit: sure, again, rejected }
     }
 
     /// Where the noise is not reached: the best combination with another effect, or another form, in the place of one of

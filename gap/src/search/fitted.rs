@@ -34,6 +34,8 @@ pub struct Fit {
     innovation_std: Vec<f64>,
     /// How many independent readings one reading of the windows is worth, at most 1.
     pub independence: f64,
+    /// Variance ratio of the innovations over a window's time: 1 where they are random.
+    pub variance_ratio: f64,
     /// Whether the estimate is that of the short windows.
     by_windows: bool,
 }
@@ -96,6 +98,7 @@ impl Fit {
             shooting_std: shot.std(),
             innovation_std: innovation.std(),
             independence: shot.independence(),
+            variance_ratio: innovation.pass.variance_ratio(setup.horizon),
             shooting: shot.minimum,
             innovation,
         }
@@ -107,6 +110,15 @@ impl Fit {
         let (fitted, value) = (&self.hypothesis.fitted[parameter], self.theta()[parameter]);
         let near = RESTS * (fitted.high - fitted.low).min(SIZES * fitted.scale);
         near.is_finite() && (value - fitted.low <= near || fitted.high - value <= near)
+    }
+
+    /// Whether a fit that leaves more than noise has pushed a calibrated parameter to its bound: to stand in for what it lacks,
+    /// it has left the region where the machine is, and what it lacks may not be reached from there.
+    #[must_use]
+    pub fn is_strained(&self) -> bool {
+        let calibrated = |k: &usize| matches!(self.hypothesis.fitted[*k].slot, Slot::Nominal(_));
+        let mut calibrated = (0..self.hypothesis.fitted.len()).filter(calibrated);
+        self.shooting_error > INEXACT && calibrated.any(|k| self.rests(k))
     }
 
     /// Whether a parameter of an effect does not differ from its null: it speaks for a form without it.

@@ -200,7 +200,7 @@ fn lines(cases: &[Case]) -> Vec<Line> {
     let left_out: Vec<Case> = cases.iter().filter(|c| c.truth.left_out).copied().collect();
 
     let confidence: Vec<(f64, bool)> = singles.iter().filter_map(Case::confidence).collect();
-    let sure: Vec<bool> = confidence.iter().filter(|(p, _)| *p > 0.95).map(|(_, right)| *right).collect();
+    let rough = of_set(cases, Set::Rough);
     let parameters: Vec<(f64, Option<bool>)> = singles.iter().flat_map(Case::parameters).collect();
     let covered: Vec<bool> = parameters.iter().filter_map(|(_, inside)| *inside).collect();
     let errors: Vec<f64> = parameters.iter().map(|(error, _)| *error).collect();
@@ -264,7 +264,7 @@ fn lines(cases: &[Case]) -> Vec<Line> {
             bootstrap(&confidence, calibration_error),
         ),
         line("Brier score, singles", None, Plain, bootstrap(&brier, mean)),
-        line("right when P > 0.95, singles", Some(AtLeast(0.98)), Percent, share(&sure)),
+        line("right when P > 0.95, singles", Some(AtLeast(0.98)), Percent, share(&sure_of(&singles))),
         line("parameter error, median", Some(AtMost(0.03)), Percent, median_of(&errors)),
         line("coverage of 95 % intervals", Some(Between(0.90, 0.99)), Percent, share(&covered)),
         line("held-out gap closed, median, detectable", Some(AtLeast(0.97)), Plain, median_of(&closed)),
@@ -315,6 +315,15 @@ fn lines(cases: &[Case]) -> Vec<Line> {
             Percent,
             rate(&of_set(cases, Set::Short), |c| c.right_within(1)),
         ),
+        line("rough machine: cause, class, top 1", None, Percent, rate(&rough, |c| c.right_within(1))),
+        line("rough machine: place", None, Percent, rate(&rough, Case::place)),
+        line("rough machine: right when P > 0.95", None, Percent, share(&sure_of(&rough))),
+        line(
+            "rough machine: an effect is named where there is none",
+            None,
+            Percent,
+            rate(&of_set(cases, Set::RoughNull), |c| c.leader().is_some()),
+        ),
         line(
             "proposed experiment separates a confusable pair",
             Some(AtLeast(0.85)),
@@ -337,6 +346,12 @@ fn lines(cases: &[Case]) -> Vec<Line> {
             Score { value: quantile(&times, 1.0), count: times.len(), ..Score::default() },
         ),
     ]
+}
+
+/// Whether answers that are all but certain are right.
+fn sure_of(cases: &[Case]) -> Vec<bool> {
+    let confidence = cases.iter().filter_map(Case::confidence);
+    confidence.filter(|(p, _)| *p > 0.95).map(|(_, right)| right).collect()
 }
 
 /// Of the effects that were answered, how many are true.

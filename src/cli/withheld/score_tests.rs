@@ -190,6 +190,10 @@ fn other_sets_by_hand() {
         (truth(Set::Single, &[LATE], &[LATE], 50.0), named(LATE, 0.7, 0.3)),
         (truth(Set::PoorExcitation, &[LATE], &[LATE], 50.0), named(LATE, 0.7, 0.3)),
         (truth(Set::Short, &[LATE], &[LATE], 50.0), named(COULOMB, 0.7, 0.3)),
+        (truth(Set::Rough, &[LATE], &[LATE], 50.0), named(LATE, 0.97, 0.0)),
+        (truth(Set::Rough, &[LATE], &[LATE], 50.0), named(COULOMB, 0.7, 0.3)),
+        (truth(Set::RoughNull, &[], &[], 0.0), named(LATE, 0.2, 0.7)),
+        (truth(Set::RoughNull, &[], &[], 0.0), named(LATE, 0.8, 0.2)),
         (left_out.clone(), named(LAG, 0.9, 0.1)),
         (left_out.clone(), named(COULOMB, 0.1, 0.9)),
         (left_out, named(COULOMB, 0.9, 0.1)),
@@ -199,6 +203,9 @@ fn other_sets_by_hand() {
     check(&scores, "outside the library: AUROC of P(unexplained)", 0.5, 3);
     check(&scores, "poor excitation: cause, class, top 1", 1.0, 1);
     check(&scores, "six seconds: cause, class, top 1", 0.0, 1);
+    check(&scores, "rough machine: cause, class, top 1", 0.5, 2);
+    check(&scores, "rough machine: right when P > 0.95", 1.0, 1);
+    check(&scores, "rough machine: an effect is named where there is none", 0.5, 2);
     check(&scores, "effect left out: none of these, or alike", 2.0 / 3.0, 3);
     check(&scores, "cause, class, top 1, singles", 1.0, 1);
     assert_eq!(scores.sets["single left out"], 3);

@@ -49,6 +49,12 @@ pub(crate) struct Counts {
     /// Cases of one effect that the diagnosis must leave out of its library.
     #[arg(long, value_name = "N", default_value_t = 40)]
     leave_out: usize,
+    /// Cases of one effect of a machine whose forces scatter from one moment to the next, as those of real ones do.
+    #[arg(long, value_name = "N", default_value_t = 40)]
+    rough: usize,
+    /// Cases of such a machine without an effect.
+    #[arg(long, value_name = "N", default_value_t = 20)]
+    rough_nulls: usize,
 }
 
 impl Counts {
@@ -63,6 +69,8 @@ impl Counts {
             ("--poor", self.poor),
             ("--short", self.short),
             ("--leave-out", self.leave_out),
+            ("--rough", self.rough),
+            ("--rough-nulls", self.rough_nulls),
         ];
         counts.iter().flat_map(|(name, count)| [(*name).to_owned(), count.to_string()]).collect()
     }
@@ -73,7 +81,7 @@ impl Counts {
     }
 
     /// Every set with its count, and whether the true effect is left out of the library.
-    fn sets(&self) -> [(Set, usize, bool); 8] {
+    fn sets(&self) -> [(Set, usize, bool); 10] {
         [
             (Set::Single, self.singles, false),
             (Set::Null, self.nulls, false),
@@ -83,6 +91,8 @@ impl Counts {
             (Set::PoorExcitation, self.poor, false),
             (Set::Short, self.short, false),
             (Set::Single, self.leave_out, true),
+            (Set::Rough, self.rough, false),
+            (Set::RoughNull, self.rough_nulls, false),
         ]
     }
 }
@@ -301,6 +311,8 @@ mod tests {
             poor: 1,
             short: 1,
             leave_out: 2,
+            rough: 1,
+            rough_nulls: 1,
         };
         for run in [3, 3 | REPORTED] {
             let drafts = drafts(&counts, run);

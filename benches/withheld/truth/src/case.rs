@@ -5,15 +5,19 @@ use crate::drive::{command, excitation, played};
 use crate::effect::{Cause, Kind, uniform};
 use crate::mechanics::{H, Machine};
 use crate::system::{N, State, System};
-use rand::SeedableRng;
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
 
 /// Everything about a case but its noise.
+#[derive(Clone)]
 pub(crate) struct Case {
     pub(crate) system: &'static System,
     pub(crate) causes: Vec<Cause>,
     pub(crate) duration: f64,
     pub(crate) poor: bool,
+    /// Whether the joints' forces scatter.
+    pub(crate) rough: bool,
     pub(crate) seed: u64,
     /// Which recording of the machine: each has noise and chances of its own.
     pub(crate) take: u64,
@@ -62,6 +66,39 @@ pub(crate) fn reading(system: &System, output: usize, s: &State) -> f64 {
     if of < system.joints.len() { s.q[of] } else { s.x[of - system.joints.len()] }
 }
 
+/// Forces on the joints that follow nothing: those of the ripple of motors and gears, of cables and of the air. They forget themselves
+/// within milliseconds (an Ornstein-Uhlenbeck process), and are the same share of every joint's usual force.
+struct Roughness {
+    /// Standard deviation of each joint's, and the share that one step keeps.
+    size: Vec<f64>,
+    keeps: f64,
+    force: [f64; N],
+    chances: ChaCha8Rng,
+}
+
+/// Standard deviation of forces that scatter, as a share of a joint's usual force, and how long they last (s): from, to.
+const ROUGH: (f64, f64) = (0.02, 0.15);
+const LASTS: (f64, f64) = (0.002, 0.02);
+
+impl Roughness {
+    fn new(case: &Case) -> Self {
+        let mut rng = stream(case.seed, 6);
+        let mut between = |(low, high): (f64, f64)| low * f64::powf(high / low, uniform(&mut rng, 0.0, 1.0));
+        let (share, lasts) = (between(ROUGH), between(LASTS));
+        let size = case.system.joints.iter().map(|joint| share * joint.force).collect();
+        Self { size, keeps: (-H / lasts).exp(), force: [0.0; N], chances: case.chances(60) }
+    }
+
+    fn next(&mut self) -> [f64; N] {
+        let fresh = (1.0 - self.keeps * self.keeps).sqrt();
+        for (force, size) in self.force.iter_mut().zip(&self.size) {
+            let chance: f64 = self.chances.sample(StandardNormal);
+            *force = self.keeps * *force + fresh * size * chance;
+        }
+        self.force
+    }
+}
+
 impl Case {
     fn chances(&self, purpose: u64) -> ChaCha8Rng {
         stream(self.seed, purpose + 1000 * self.take)
@@ -86,6 +123,7 @@ impl Case {
             s.x[2] = system.inputs[0].rest / 15.47;
         }
         let mut hidden = machine.hidden();
+        let mut scatter_of = self.rough.then(|| Roughness::new(self));
         let every = (1.0 / system.command_rate / H).round() as usize;
         let steps = (self.duration / H).round() as usize;
         let mut commands = Vec::new();
@@ -111,7 +149,8 @@ impl Case {
             for (u, channel) in u.iter_mut().zip(&mut channels) {
                 *u = channel.act(t);
             }
-            machine.step(&mut s, &mut hidden, &u, t);
+            let push = scatter_of.as_mut().map_or([0.0; N], Roughness::next);
+            machine.pushed(&mut s, &mut hidden, &u, &push, t);
         }
         let noise = noises(system, self.seed);
         let readings = (0..system.outputs.len())

@@ -52,6 +52,10 @@ pub enum Set {
     PoorExcitation,
     /// One effect, 6 s of data.
     Short,
+    /// One effect of a machine whose joints' forces scatter from one moment to the next, as those of real ones do.
+    Rough,
+    /// No effect, the same.
+    RoughNull,
 }
 
 /// Which case: its set, its machine, and the index of its cause in that machine's list for the set.
@@ -86,7 +90,7 @@ pub struct Answer {
     /// The cause that no table has.
     pub outside: Option<String>,
     /// Twice the log-likelihood ratio that the cause is worth after the best refit, not only to first order, of the
-    /// calibrated parameters within their bounds.
+    /// calibrated parameters within their bounds. Of a rough machine it is what it would be of a calm one.
     pub detectability: f64,
     /// `name@place` of the cause and of what this recording cannot tell from it (cosine of signatures at least 0.97).
     pub class: Vec<String>,
@@ -152,8 +156,8 @@ fn causes(set: Set, system: &system::System) -> Vec<(Kind, Place)> {
     match set {
         Set::OtherForm => effect::other_forms(system),
         Set::Outside => effect::outside(system),
-        Set::Null => Vec::new(),
-        Set::Single | Set::Pair | Set::PoorExcitation | Set::Short => effect::table(system),
+        Set::Null | Set::RoughNull => Vec::new(),
+        Set::Single | Set::Pair | Set::PoorExcitation | Set::Short | Set::Rough => effect::table(system),
     }
 }
 
@@ -199,7 +203,7 @@ fn case(plan: &Plan, seed: u64) -> Result<Case, TruthError> {
     let duration = if plan.set == Set::Short { 6.0 } else { 20.0 };
     let noise = case::noises(system, seed);
     let poor = plan.set == Set::PoorExcitation;
-    let alone = |causes: Vec<Cause>| Case { system, causes, duration, poor, seed, take: 0 };
+    let alone = |causes: Vec<Cause>| Case { system, causes, duration, poor, rough: false, seed, take: 0 };
     let mut rng = stream(seed, 4);
     let mut drawn = |(kind, place): (Kind, Place), beside: Option<Cause>| {
         let member = u64::from(beside.is_some());
@@ -215,7 +219,7 @@ fn case(plan: &Plan, seed: u64) -> Result<Case, TruthError> {
     };
     let all = causes(plan.set, system);
     let mut causes = Vec::new();
-    if plan.set != Set::Null {
+    if !matches!(plan.set, Set::Null | Set::RoughNull) {
         let first = *all.get(plan.effect).ok_or_else(unknown)?;
         causes.push(drawn(first, None));
         if plan.set == Set::Pair {
@@ -224,7 +228,8 @@ fn case(plan: &Plan, seed: u64) -> Result<Case, TruthError> {
             causes.push(drawn(*second, Some(causes[0])));
         }
     }
-    Ok(alone(causes))
+    let rough = matches!(plan.set, Set::Rough | Set::RoughNull);
+    Ok(Case { rough, ..alone(causes) })
 }
 
 /// Whether a case's cause leaves a trace in its recording, and may be one. A machine that ran away is judged by the caller.
@@ -270,7 +275,13 @@ pub fn write(plan: &Plan, seed: u64, folder: &Path) -> Result<Answer, TruthError
         return Err(TruthError::Diverged);
     }
     folder::write(&case, &run, folder)?;
-    let (detectability, class) = signature::judge(&case, &run);
+    let (detectability, class) = if case.rough {
+        // What sensors show is compared with what they would show without: forces that scatter are no cause.
+        let calm = Case { rough: false, ..case.clone() };
+        signature::judge(&calm, &calm.run())
+    } else {
+        signature::judge(&case, &run)
+    };
     let truth = |c: &effect::Cause| Truth {
         name: c.kind.names().0.to_owned(),
         place: effect::place_name(case.system, c.place),

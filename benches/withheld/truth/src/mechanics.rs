@@ -42,6 +42,11 @@ impl<'a> Machine<'a> {
 
     /// Moves the state from `t` to `t + H` under constant commands.
     pub(crate) fn step(&self, s: &mut State, hidden: &mut Hidden, u: &[f64; N], t: f64) {
+        self.pushed(s, hidden, u, &[0.0; N], t);
+    }
+
+    /// The same with a force more on each joint.
+    pub(crate) fn pushed(&self, s: &mut State, hidden: &mut Hidden, u: &[f64; N], push: &[f64; N], t: f64) {
         let n = self.system.joints.len();
         for i in 0..n {
             s.q[i] += 0.5 * H * s.v[i];
@@ -55,7 +60,7 @@ impl<'a> Machine<'a> {
         let f = (self.system.body)(&self.parameters, s, &tilt, u);
         let mut force = [0.0; N];
         for i in 0..n {
-            force[i] = f.drive[i] + f.load[i] + f.other[i];
+            force[i] = f.drive[i] + f.load[i] + f.other[i] + push[i];
         }
         let mut mass = f.mass;
         let mut dry: Vec<(usize, f64, f64)> = Vec::new();

@@ -30,7 +30,8 @@ fn files(plan: &Plan, seed: u64) -> Files {
 
 fn of_case(system: usize, causes: Vec<Cause>) -> Files {
     let folder = tempfile::tempdir().unwrap();
-    let case = Case { system: ALL[system], causes, duration: 1.0, poor: false, seed: 9, take: 0 };
+    let case =
+        Case { system: ALL[system], causes, duration: 1.0, poor: false, rough: false, seed: 9, take: 0 };
     folder::write(&case, &case.run(), folder.path()).unwrap();
     read(folder.path())
 }
@@ -104,7 +105,15 @@ fn a_pendulum_without_friction_keeps_its_energy() {
 #[test]
 fn a_late_sensor_shows_earlier_samples() {
     let late = cause(Kind::DelayOut, Place::Output(0), [0.03, 0.0, 0.0, 0.0]);
-    let case = Case { system: ALL[0], causes: vec![late], duration: 2.0, poor: false, seed: 3, take: 0 };
+    let case = Case {
+        system: ALL[0],
+        causes: vec![late],
+        duration: 2.0,
+        poor: false,
+        rough: false,
+        seed: 3,
+        take: 0,
+    };
     let run = case.run();
     let plain = case.shown(0, &run.states, &[]);
     let shown = case.shown(0, &run.states, &case.causes);
@@ -139,7 +148,7 @@ fn of_draw(system: usize, kind: Kind, place: Place, seed: u64) -> (Case, crate::
     let system = ALL[system];
     let noise = if let Place::Output(o) = place { crate::case::noises(system, seed)[o] } else { 0.0 };
     let cause = draw(system, kind, place, 20.0, noise, &mut stream(seed, 4));
-    let case = Case { system, causes: vec![cause], duration: 20.0, poor: false, seed, take: 0 };
+    let case = Case { system, causes: vec![cause], duration: 20.0, poor: false, rough: false, seed, take: 0 };
     let run = case.run();
     (case, run)
 }
@@ -172,7 +181,7 @@ fn what_is_left_out_as_absorbed_leaves_no_trace_after_the_refit() {
     for system in ALL {
         for name in system.absorbed {
             let causes = vec![small(system, name)];
-            let case = Case { system, causes, duration: 6.0, poor: false, seed: 2, take: 0 };
+            let case = Case { system, causes, duration: 6.0, poor: false, rough: false, seed: 2, take: 0 };
             let run = case.run();
             let healthy = Case { causes: Vec::new(), ..case }.run();
             let readings = run.readings.iter().zip(&healthy.readings).zip(&run.noise);
@@ -201,6 +210,7 @@ fn what_the_refit_follows_is_not_seen() {
             causes: vec![cause(kind, place, p)],
             duration: 6.0,
             poor: false,
+            rough: false,
             seed: 2,
             take: 0,
         };
@@ -221,7 +231,15 @@ fn another_parameter_joins_what_looks_like_it() {
 #[test]
 fn what_needs_other_parameters_to_look_like_it_joins_as_well() {
     let uneven = cause(Kind::Asymmetric, Place::Joint(0), [11.0, 0.5, 0.0, 0.0]);
-    let case = Case { system: ALL[4], causes: vec![uneven], duration: 6.0, poor: false, seed: 7, take: 0 };
+    let case = Case {
+        system: ALL[4],
+        causes: vec![uneven],
+        duration: 6.0,
+        poor: false,
+        rough: false,
+        seed: 7,
+        take: 0,
+    };
     let (_, class) = judge(&case, &case.run());
     assert!(class.contains(&"coulomb@joint:axis".to_owned()), "{class:?}");
 }
@@ -231,8 +249,15 @@ fn what_needs_other_parameters_to_look_like_it_joins_as_well() {
 fn classes_of_a_pair_are_those_beside_the_other_one() {
     let bias = cause(Kind::Bias, Place::Output(0), [0.03, 0.0, 0.0, 0.0]);
     let spring = cause(Kind::Spring, Place::Joint(0), [0.2, 0.1, 0.0, 0.0]);
-    let case =
-        Case { system: ALL[1], causes: vec![bias, spring], duration: 6.0, poor: false, seed: 7, take: 0 };
+    let case = Case {
+        system: ALL[1],
+        causes: vec![bias, spring],
+        duration: 6.0,
+        poor: false,
+        rough: false,
+        seed: 7,
+        take: 0,
+    };
     let (_, class) = judge(&case, &case.run());
     assert_eq!(class[..2], ["bias@output:position", "spring@joint:shaft"]);
     assert!(class.contains(&"offset@input:goal".to_owned()), "{class:?}");
@@ -243,7 +268,15 @@ fn classes_of_a_pair_are_those_beside_the_other_one() {
 fn noise_is_stated_where_more_of_it_is_the_cause() {
     let noisy = cause(Kind::Noise, Place::Output(0), [0.01, 0.0, 0.0, 0.0]);
     for seed in 0..8 {
-        let case = Case { system: ALL[0], causes: vec![noisy], duration: 1.0, poor: false, seed, take: 0 };
+        let case = Case {
+            system: ALL[0],
+            causes: vec![noisy],
+            duration: 1.0,
+            poor: false,
+            rough: false,
+            seed,
+            take: 0,
+        };
         assert!(case.run().declared);
     }
 }
@@ -310,10 +343,29 @@ fn an_experiment_is_played_on_the_same_machine() {
     assert!(replay(&plan, 5, &unknown, folder.path()).is_err());
 }
 
+/// The forces that scatter are no cause: the answer is that of the machine without them, and what moves under them moves otherwise.
+#[test]
+fn forces_that_scatter_move_a_machine_and_are_no_cause() {
+    let of = |set: Set| {
+        let folder = tempfile::tempdir().unwrap();
+        let answer = write(&Plan { set, system: 0, effect: 2 }, 5, folder.path()).unwrap();
+        (answer, read(folder.path()))
+    };
+    let ((calm, still), (rough, moved)) = (of(Set::Single), of(Set::Rough));
+    assert_eq!(
+        (calm.effects, calm.class, calm.detectability),
+        (rough.effects, rough.class, rough.detectability)
+    );
+    assert_eq!(still["commands.csv"], moved["commands.csv"], "this machine is driven open loop");
+    assert_ne!(still["angle.csv"], moved["angle.csv"]);
+    assert!(of(Set::RoughNull).0.effects.is_empty());
+}
+
 proptest! {
     #[test]
     fn plans_exist_and_are_spread(count in 0usize..200, seed: u64) {
-        for set in [Set::Single, Set::OtherForm, Set::Pair, Set::Outside, Set::PoorExcitation, Set::Short] {
+        let sets = [Set::Single, Set::OtherForm, Set::Pair, Set::Outside, Set::PoorExcitation, Set::Short, Set::Rough];
+        for set in sets {
             let all = plans(set, count, seed);
             prop_assert_eq!(all.len(), count);
             for (i, plan) in all.iter().enumerate() {
