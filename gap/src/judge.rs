@@ -148,7 +148,7 @@ impl Judge {
     #[must_use]
     pub fn is_better(&self, fit: &Fit, other: &Fit) -> bool {
         let gain = self.cost(other) - self.cost(fit);
-        gain > WORTH || (!self.exact && gain > -WORTH && self.prefers(fit, other))
+        gain > WORTH || (!self.exact && gain > -WORTH && is_preferred(fit, other))
     }
 
     /// The one of `fits` that explains most: of those that what decides does not clearly tell from the best the one that the innovations
@@ -169,7 +169,7 @@ impl Judge {
             && !is_beside(fit, base)
             && base.shooting_error - fit.shooting_error > MATERIAL_BESIDE * self.gap
             && fit.shooting_error - 1.0 < HALF * (base.shooting_error - 1.0)
-            && self.prefers(fit, base)
+            && is_preferred(fit, base)
     }
 
     /// Whether both losses prefer a further effect elsewhere where nothing reaches the noise, and it leaves innovations that are as good
@@ -260,6 +260,11 @@ impl Judge {
         let windows = self.independence * windows;
         if self.exact { 0.5 * (innovations + windows) } else { windows }
     }
+}
+
+/// Whether the innovations prefer `fit` decisively.
+fn is_preferred(fit: &Fit, other: &Fit) -> bool {
+    fit.innovation.evidence_cost < other.innovation.evidence_cost - DECISIVE
 }
 
 /// Whether `fit` has more effects than `base`, all of them where `base` has some.
