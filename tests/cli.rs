@@ -7,7 +7,7 @@ mod command;
 use std::fs;
 use std::path::Path;
 
-use command::{fail, json, parallax, succeed};
+use command::{counts, fail, json, parallax, succeed};
 use parallax::nodes::pendulum;
 use parallax::runtime::recording::{Recording, write};
 use serde_json::Value;
@@ -251,19 +251,7 @@ fn systems_that_do_not_fit() {
 #[test]
 fn benchmarks_that_cannot_be_made() {
     let folder = with_log();
-    let sets = [
-        "singles",
-        "nulls",
-        "other-form",
-        "pairs",
-        "outside",
-        "poor",
-        "short",
-        "leave-out",
-        "rough",
-        "rough-nulls",
-    ];
-    let none = sets.map(|set| format!("--{set}=0"));
+    let none = counts(&[]);
     let none: Vec<&str> = ["withheld"].into_iter().chain(none.iter().map(String::as_str)).collect();
     fail(&folder, &none, 2, &["no case is asked for"]);
     fail(&folder, &["withheld", "--out", "log/log.csv"], 2, &["log/log.csv/cases cannot be made"]);

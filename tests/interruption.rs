@@ -2,11 +2,14 @@
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+mod command;
+
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 use std::process::{Child, ChildStderr, Command, Output, Stdio};
 use std::time::Duration;
 
+use command::counts;
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -122,22 +125,12 @@ fn a_second_ctrl_c_ends_at_once() {
 fn an_interrupted_benchmark_goes_on_where_it_was() {
     let folder = tempfile::tempdir().unwrap();
     let run = |more: &[&str]| {
-        let sets = [
-            "singles",
-            "nulls",
-            "other-form",
-            "pairs",
-            "outside",
-            "poor",
-            "short",
-            "leave-out",
-            "rough",
-            "rough-nulls",
-        ];
-        let counts = sets.map(|set| format!("--{set}={}", u32::from(set == "singles") * 2));
-        let counts = counts.iter().map(String::as_str);
+        let counts = counts(&[("singles", 2)]);
         let all = ["withheld", "--dev-seed", "7", "--out", "run", "--separate", "0", "--json"].into_iter();
-        all.chain(counts).chain(more.iter().copied()).map(str::to_owned).collect::<Vec<_>>()
+        all.chain(counts.iter().map(String::as_str))
+            .chain(more.iter().copied())
+            .map(str::to_owned)
+            .collect::<Vec<_>>()
     };
     let arguments = run(&[]);
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();

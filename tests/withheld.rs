@@ -2,44 +2,20 @@
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+mod command;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use command::counts;
 use serde_json::Value;
 
 /// One single and one null, nothing else, from a seed for development.
-const TWO: [&str; 24] = [
-    "--dev-seed",
-    "5",
-    "--singles",
-    "1",
-    "--nulls",
-    "1",
-    "--other-form",
-    "0",
-    "--pairs",
-    "0",
-    "--outside",
-    "0",
-    "--poor",
-    "0",
-    "--short",
-    "0",
-    "--leave-out",
-    "0",
-    "--rough",
-    "0",
-    "--rough-nulls",
-    "0",
-    "--separate",
-    "0",
-];
-
 fn withheld(out: &Path, more: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_parallax"))
-        .args(["withheld", "--json"])
-        .args(TWO)
+        .args(["withheld", "--json", "--dev-seed", "5", "--separate", "0"])
+        .args(counts(&[("singles", 1), ("nulls", 1)]))
         .args(more)
         .arg("--out")
         .arg(out)

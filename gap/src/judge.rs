@@ -1,5 +1,7 @@
 //! Which loss decides, and what it says of a fit.
 
+use std::cmp::Ordering;
+
 use parallax_model::effect::Effect;
 
 use crate::search::{Fit, INEXACT};
@@ -57,8 +59,8 @@ pub fn share_of_form(explained: f64, gap: f64) -> f64 {
 pub struct Judge {
     independence: f64,
     exact: bool,
-    /// How many independent innovations one is worth, at most 1, where nothing reaches the noise.
-    trust: f64,
+    /// How many independent innovations one is worth, at most 1.
+    innovations: f64,
     /// The null model's mean squared residual beyond the noise, in noise units squared.
     gap: f64,
     /// The number of states of the nominal model.
@@ -91,11 +93,9 @@ impl Judge {
         }
         let plain = (plain.shooting_cost, plain.innovation.evidence_cost);
         let gap = (null.shooting_error - 1.0).max(0.0);
-        let by_innovations =
-            |a: &&Fit, b: &&Fit| a.innovation.evidence_cost.total_cmp(&b.innovation.evidence_cost);
         let likeliest = all().chain([null]).min_by(by_innovations).unwrap_or(null);
-        let trust = if exact { 1.0 } else { 1.0 / likeliest.variance_ratio.max(1.0) };
-        Judge { independence: best.independence, exact, trust, gap, states, plain, bounded }
+        let innovations = 1.0 / likeliest.variance_ratio.max(1.0);
+        Judge { independence: best.independence, exact, innovations, gap, states, plain, bounded }
     }
 
     /// Whether `fit`, which has more effects than `base`, is worth them.
@@ -157,8 +157,6 @@ impl Judge {
     pub fn best<'a>(&self, fits: impl Iterator<Item = &'a Fit> + Clone) -> Option<&'a Fit> {
         let least = fits.clone().min_by(|a, b| self.cost(a).total_cmp(&self.cost(b)))?;
         let better = fits.filter(|fit| self.is_better(fit, least));
-        let by_innovations =
-            |a: &&Fit, b: &&Fit| a.innovation.evidence_cost.total_cmp(&b.innovation.evidence_cost);
         Some(better.min_by(by_innovations).unwrap_or(least))
     }
 
@@ -185,15 +183,11 @@ impl Judge {
         fit.variance_ratio <= NEARLY_RANDOM && self.both_prefer(fit, base)
     }
 
-    /// Whether both losses prefer a further effect elsewhere, where nothing reaches the noise.
+    /// Whether both losses prefer a further effect elsewhere, each for what its readings are worth, where nothing reaches the noise.
     fn both_prefer(&self, fit: &Fit, base: &Fit) -> bool {
         let windows = self.independence * (base.shooting_cost - fit.shooting_cost);
-        !self.exact && !is_beside(fit, base) && windows > WORTH && self.prefers(fit, base)
-    }
-
-    /// Whether the innovations prefer `fit` decisively, for what they count.
-    fn prefers(&self, fit: &Fit, other: &Fit) -> bool {
-        self.trust * (other.innovation.evidence_cost - fit.innovation.evidence_cost) > DECISIVE
+        let innovations = base.innovation.evidence_cost - fit.innovation.evidence_cost;
+        !self.exact && !is_beside(fit, base) && windows > WORTH && self.innovations * innovations > DECISIVE
     }
 
     /// [`Judge::cost`] of a fit with one effect more than `base`: what is no more than another form at a place of `base` must explain
@@ -260,6 +254,10 @@ impl Judge {
         let windows = self.independence * windows;
         if self.exact { 0.5 * (innovations + windows) } else { windows }
     }
+}
+
+fn by_innovations(a: &&Fit, b: &&Fit) -> Ordering {
+    a.innovation.evidence_cost.total_cmp(&b.innovation.evidence_cost)
 }
 
 /// Whether the innovations prefer `fit` decisively.

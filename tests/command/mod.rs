@@ -11,6 +11,25 @@ use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{Winsize, tcsetwinsize};
 use serde_json::Value;
 
+/// How many cases of each set `parallax withheld` shall make: of those that are named so many, of all others none.
+pub(crate) fn counts(named: &[(&str, usize)]) -> Vec<String> {
+    const SETS: [&str; 10] = [
+        "singles",
+        "nulls",
+        "other-form",
+        "pairs",
+        "outside",
+        "poor",
+        "short",
+        "leave-out",
+        "rough",
+        "rough-nulls",
+    ];
+    assert!(named.iter().all(|(set, _)| SETS.contains(set)), "a set that is none: {named:?}");
+    let count = |set: &str| named.iter().find(|(name, _)| *name == set).map_or(0, |(_, count)| *count);
+    SETS.iter().map(|set| format!("--{set}={}", count(set))).collect()
+}
+
 /// Runs the program in `folder`.
 pub(crate) fn parallax(folder: impl AsRef<Path>, arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_parallax")).current_dir(folder).args(arguments).output().unwrap()

@@ -30,10 +30,14 @@ fn files(plan: &Plan, seed: u64) -> Files {
 
 fn of_case(system: usize, causes: Vec<Cause>) -> Files {
     let folder = tempfile::tempdir().unwrap();
-    let case =
-        Case { system: ALL[system], causes, duration: 1.0, poor: false, rough: false, seed: 9, take: 0 };
+    let case = plain(ALL[system], causes, 1.0, 9);
     folder::write(&case, &case.run(), folder.path()).unwrap();
     read(folder.path())
+}
+
+/// A case without more than its causes.
+fn plain(system: &'static System, causes: Vec<Cause>, duration: f64, seed: u64) -> Case {
+    Case { system, causes, duration, poor: false, rough: false, seed, take: 0 }
 }
 
 fn cause(kind: Kind, place: Place, p: [f64; 4]) -> Cause {
@@ -105,15 +109,7 @@ fn a_pendulum_without_friction_keeps_its_energy() {
 #[test]
 fn a_late_sensor_shows_earlier_samples() {
     let late = cause(Kind::DelayOut, Place::Output(0), [0.03, 0.0, 0.0, 0.0]);
-    let case = Case {
-        system: ALL[0],
-        causes: vec![late],
-        duration: 2.0,
-        poor: false,
-        rough: false,
-        seed: 3,
-        take: 0,
-    };
+    let case = plain(ALL[0], vec![late], 2.0, 3);
     let run = case.run();
     let plain = case.shown(0, &run.states, &[]);
     let shown = case.shown(0, &run.states, &case.causes);
@@ -148,7 +144,7 @@ fn of_draw(system: usize, kind: Kind, place: Place, seed: u64) -> (Case, crate::
     let system = ALL[system];
     let noise = if let Place::Output(o) = place { crate::case::noises(system, seed)[o] } else { 0.0 };
     let cause = draw(system, kind, place, 20.0, noise, &mut stream(seed, 4));
-    let case = Case { system, causes: vec![cause], duration: 20.0, poor: false, rough: false, seed, take: 0 };
+    let case = plain(system, vec![cause], 20.0, seed);
     let run = case.run();
     (case, run)
 }
@@ -181,7 +177,7 @@ fn what_is_left_out_as_absorbed_leaves_no_trace_after_the_refit() {
     for system in ALL {
         for name in system.absorbed {
             let causes = vec![small(system, name)];
-            let case = Case { system, causes, duration: 6.0, poor: false, rough: false, seed: 2, take: 0 };
+            let case = plain(system, causes, 6.0, 2);
             let run = case.run();
             let healthy = Case { causes: Vec::new(), ..case }.run();
             let readings = run.readings.iter().zip(&healthy.readings).zip(&run.noise);
@@ -205,15 +201,7 @@ fn what_the_refit_follows_is_not_seen() {
         (0, Kind::Coulomb, Place::Joint(0), [0.02, 0.0, 0.0, 0.0], true),
     ];
     for (system, kind, place, p, seen) in cases {
-        let case = Case {
-            system: ALL[system],
-            causes: vec![cause(kind, place, p)],
-            duration: 6.0,
-            poor: false,
-            rough: false,
-            seed: 2,
-            take: 0,
-        };
+        let case = plain(ALL[system], vec![cause(kind, place, p)], 6.0, 2);
         let found = detectability(&case, &case.run());
         assert!(if seen { found > 100.0 } else { found < 1.0 }, "{kind:?}: {found}");
     }
@@ -231,15 +219,7 @@ fn another_parameter_joins_what_looks_like_it() {
 #[test]
 fn what_needs_other_parameters_to_look_like_it_joins_as_well() {
     let uneven = cause(Kind::Asymmetric, Place::Joint(0), [11.0, 0.5, 0.0, 0.0]);
-    let case = Case {
-        system: ALL[4],
-        causes: vec![uneven],
-        duration: 6.0,
-        poor: false,
-        rough: false,
-        seed: 7,
-        take: 0,
-    };
+    let case = plain(ALL[4], vec![uneven], 6.0, 7);
     let (_, class) = judge(&case, &case.run());
     assert!(class.contains(&"coulomb@joint:axis".to_owned()), "{class:?}");
 }
@@ -249,15 +229,7 @@ fn what_needs_other_parameters_to_look_like_it_joins_as_well() {
 fn classes_of_a_pair_are_those_beside_the_other_one() {
     let bias = cause(Kind::Bias, Place::Output(0), [0.03, 0.0, 0.0, 0.0]);
     let spring = cause(Kind::Spring, Place::Joint(0), [0.2, 0.1, 0.0, 0.0]);
-    let case = Case {
-        system: ALL[1],
-        causes: vec![bias, spring],
-        duration: 6.0,
-        poor: false,
-        rough: false,
-        seed: 7,
-        take: 0,
-    };
+    let case = plain(ALL[1], vec![bias, spring], 6.0, 7);
     let (_, class) = judge(&case, &case.run());
     assert_eq!(class[..2], ["bias@output:position", "spring@joint:shaft"]);
     assert!(class.contains(&"offset@input:goal".to_owned()), "{class:?}");
@@ -268,15 +240,7 @@ fn classes_of_a_pair_are_those_beside_the_other_one() {
 fn noise_is_stated_where_more_of_it_is_the_cause() {
     let noisy = cause(Kind::Noise, Place::Output(0), [0.01, 0.0, 0.0, 0.0]);
     for seed in 0..8 {
-        let case = Case {
-            system: ALL[0],
-            causes: vec![noisy],
-            duration: 1.0,
-            poor: false,
-            rough: false,
-            seed,
-            take: 0,
-        };
+        let case = plain(ALL[0], vec![noisy], 1.0, seed);
         assert!(case.run().declared);
     }
 }
