@@ -16,7 +16,7 @@ use crate::innovation::{Segment, walk_plain};
 use crate::library;
 use crate::search::Fit;
 use crate::setup::Setup;
-use crate::statistics::median;
+use crate::statistics::{median, root_mean_square};
 
 pub(super) use gaussian::Late;
 
@@ -180,6 +180,18 @@ impl Kicks {
         kicks
     }
 
+    /// The same if every command changed by as much, each in its own direction: what a force that scatters leaves, whatever the
+    /// commands.
+    pub(super) fn even(&self) -> Self {
+        let least = self.least_change();
+        let changes: Vec<f64> = self.kicks.iter().map(|k| k.change).collect();
+        let usual = root_mean_square(&changes);
+        let scales: Vec<f64> = changes.iter().map(|change| usual / change.abs().max(least)).collect();
+        let mut kicks = self.clone();
+        kicks.scale(&scales);
+        kicks
+    }
+
     fn scale(&mut self, scales: &[f64]) {
         for (k, kick) in self.kicks.iter_mut().enumerate() {
             kick.response.iter_mut().for_each(|r| *r *= scales[k]);
@@ -291,23 +303,22 @@ mod tests {
     use rand_distr::{Distribution, StandardNormal};
 
     use super::*;
-    use crate::statistics::root_mean_square;
 
-    /// Commands whose responses fade over a few readings, with shares that `share` draws.
-    fn kicks(mut share: impl FnMut(&mut ChaCha8Rng) -> f64, size: f64) -> Kicks {
+    /// Commands whose responses fade over a few readings, with shares that `share` draws for each change.
+    fn kicks(mut share: impl FnMut(&mut ChaCha8Rng, f64) -> f64, size: f64) -> Kicks {
         let mut random = ChaCha8Rng::seed_from_u64(5);
         let (count, length) = (400_usize, 6_usize);
         let readings = count + length;
         let mut innovations: Vec<f64> = (0..readings).map(|_| StandardNormal.sample(&mut random)).collect();
         let mut kicks = Vec::new();
         for k in 0..count {
-            let height: f64 = StandardNormal.sample(&mut random);
-            let response: Vec<f64> = (0..length).map(|i| size * height * 0.6_f64.powi(i as i32)).collect();
-            let share = share(&mut random);
+            let change: f64 = StandardNormal.sample(&mut random);
+            let response: Vec<f64> = (0..length).map(|i| size * change * 0.6_f64.powi(i as i32)).collect();
+            let share = share(&mut random, change);
             for (e, r) in innovations[k..].iter_mut().zip(&response) {
                 *e += share * r;
             }
-            kicks.push(Kick { command: k + 1, change: 1.0, late: 0.01, first: k, response });
+            kicks.push(Kick { command: k + 1, change, late: 0.01, first: k, response });
         }
         let along = kicks.iter().map(|k| dot(&k.response, &innovations[k.first..])).collect();
         let gram = (0..count)
@@ -334,7 +345,7 @@ mod tests {
 
     #[test]
     fn times_that_scatter_are_told_from_none() {
-        let tardy = kicks(|random| random.random_range(0.0..0.6), 3.0);
+        let tardy = kicks(|random, _| random.random_range(0.0..0.6), 3.0);
         let late = tardy.late(0.05);
         // Evenly over six tenths of a period of 10 ms.
         let spread = 0.01 * 0.6 / 12.0_f64.sqrt();
@@ -345,18 +356,18 @@ mod tests {
         let mut random = ChaCha8Rng::seed_from_u64(9);
         let drawn: Vec<f64> = (0..400).map(|_| random.random_range(0.0..0.6)).collect();
         let mut next = drawn.iter();
-        let tardy = kicks(|_| *next.next().expect("one for each"), 30.0);
+        let tardy = kicks(|_, _| *next.next().expect("one for each"), 30.0);
         let late = tardy.late(0.05);
         let found = tardy.shares(&late).expect("a solution");
         let error =
             |k: &[f64]| root_mean_square(&k.iter().zip(&drawn).map(|(a, b)| a - b).collect::<Vec<_>>());
         assert!(error(&found) < 0.5 * error(&vec![0.3; 400]), "{}", error(&found));
         // Those that are late already by as much have the same times, and what is left is little.
-        let rest = kicks(|_| 0.0, 30.0).with(&drawn);
+        let rest = kicks(|_, _| 0.0, 30.0).with(&drawn);
         let again = rest.late(0.05);
         assert!((again.spread / late.spread - 1.0).abs() < 0.05, "{} and {}", again.spread, late.spread);
 
-        let punctual = kicks(|_| 0.0, 3.0);
+        let punctual = kicks(|_, _| 0.0, 3.0);
         let late = punctual.late(0.05);
         let gain = |kicks: &Kicks, late: &Late| kicks.plain() - kicks.scattered(&vec![0.0; 400], late);
         assert!(gain(&punctual, &late) < 10.0 && gain(&tardy, &tardy.late(0.05)) > 2000.0);
@@ -366,8 +377,24 @@ mod tests {
     }
 
     #[test]
+    fn a_force_that_scatters_is_no_lateness() {
+        let tardy = kicks(|random, _| random.random_range(0.0..0.6), 3.0);
+        // As large at every command, whatever that changes.
+        let pushed = kicks(
+            |random, change| {
+                let force: f64 = StandardNormal.sample(random);
+                0.5 * force / change
+            },
+            3.0,
+        );
+        assert!(pushed.late(0.05).log_evidence > 20.0, "{:?}", pushed.late(0.05));
+        assert!(tardy.go_with_changes(&tardy.late(0.05), 0.05));
+        assert!(!pushed.go_with_changes(&pushed.late(0.05), 0.05));
+    }
+
+    #[test]
     fn commands_that_are_all_late_by_the_same_time_do_not_scatter() {
-        let delayed = kicks(|_| 0.5, 3.0);
+        let delayed = kicks(|_, _| 0.5, 3.0);
         let late = delayed.late(0.05);
         assert!(late.log_evidence < 2.0 && late.gain > 50.0, "{late:?}");
     }

@@ -57,6 +57,8 @@ struct Look {
     fitted: f64,
     /// Log likelihood against that of commands whose changes are exchanged.
     own: f64,
+    /// Whether the lateness is likelier than kicks that do not go with what the commands change.
+    go_with_changes: bool,
 }
 
 /// The innovations under one process noise.
@@ -140,7 +142,7 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
     let told = -0.5 * (cost - base.innovation.evidence_cost);
     let stamps = |commands: &[usize]| commands.iter().map(|k| recorded.times[*k]).collect::<Vec<f64>>();
     let (telling, all) = (stamps(&last.telling()), stamps(&last.commands));
-    if told.min(last.own) < TOLD || come_at_rest(setup, base, &telling, &all) {
+    if told.min(last.own) < TOLD || !last.go_with_changes || come_at_rest(setup, base, &telling, &all) {
         return None;
     }
     let value = Value { value: last.late.spread, std: last.late.std, unit: "s".into() };
@@ -215,10 +217,21 @@ fn look(
     let shares = all.shares(&late)?;
     let explained = all.explained(&shares);
     let own = late.gain - all.exchanged().late(most).gain;
+    let go_with_changes = all.go_with_changes(&late, most);
     let scattered = fitted.scattered(&already, &late);
     let part = fitted.with(&already);
     let fitted = part.late(most).log_evidence - 0.5 * (part.of_same() - same_fitted);
-    Some(Look { commands: kicks.commands(), shares, explained, late, scattered, plain, fitted, own })
+    Some(Look {
+        commands: kicks.commands(),
+        shares,
+        explained,
+        late,
+        scattered,
+        plain,
+        fitted,
+        own,
+        go_with_changes,
+    })
 }
 
 /// The commands at the times that the look found, in their order.

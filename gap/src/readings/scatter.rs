@@ -129,7 +129,7 @@ fn at_input(setup: &Setup, fit: &Fit, noise: &Noise, input: usize) -> Vec<Readin
         scale: late.spread / delays.lateness(),
         evidence: -2.0 * told,
         likelier: times,
-        certain: exact && told > CERTAIN,
+        certain: exact && told > CERTAIN && delays.go_with_changes(&late, MOST_PERIODS * period),
     };
     // What wants to be larger than it can be is something else.
     if late.spread < 0.95 * MOST_PERIODS * period {
@@ -279,9 +279,10 @@ fn of_commands(setup: &Setup, kicks: &Kicks) -> Option<Parts> {
         let innovations = own.iter().map(|&k| kicks.whitened[k]).collect();
         Sensitivity { innovations, size: own.iter().map(|&k| squares[k].sqrt()).collect() }.usable()
     };
-    let (squares, exchanged) = (kicks.squares(), kicks.exchanged().squares());
-    let exchanged = of(&train, &exchanged).map_or(0.0, |exchanged| exchanged.by_size().max(0.0));
-    Some(Parts { train: of(&train, &squares)?, test: of(&test, &squares)?, exchanged })
+    let squares = kicks.squares();
+    let by_size = |kicks: Kicks| of(&train, &kicks.squares()).map_or(0.0, |kicks| kicks.by_size());
+    let (exchanged, even) = (by_size(kicks.exchanged()).max(0.0), by_size(kicks.even()));
+    Some(Parts { train: of(&train, &squares)?, test: of(&test, &squares)?, exchanged, even })
 }
 
 /// Sensitivities on time that is fitted and on time that is held out.
@@ -290,6 +291,8 @@ struct Parts {
     test: Sensitivity,
     /// Log evidence for kicks as large as those of other commands: what a machine that sometimes rests shows while it moves.
     exchanged: f64,
+    /// Log evidence for kicks that are all alike: what a force that scatters leaves.
+    even: f64,
 }
 
 /// Log predictive densities of held-out readings without and with commands that come `late` (s), or not at all, by shares of
@@ -419,11 +422,13 @@ struct Judged {
 
 impl Judged {
     fn against(self, parts: Option<Parts>, place: &str) -> Option<ReadingEffect> {
-        let Parts { train, test, exchanged } = parts?;
+        let Parts { train, test, exchanged, even } = parts?;
         let density = densities(&train, &test, self.scale);
         // A wrong mean lies along the kicks as well; chance alone makes innovations large where kicks are.
         let natural = train.floor(0.0) / root_mean_square(&train.size);
-        let by_size = if self.certain { f64::INFINITY } else { train.by_size() - exchanged };
+        let goes_with_changes = |by_size: &f64| *by_size > even;
+        let by_size = || Some(train.by_size()).filter(goes_with_changes).map_or(0.0, |own| own - exchanged);
+        let by_size = if self.certain { f64::INFINITY } else { by_size() };
         let evidence = self.evidence.max(-2.0 * by_size);
         let predicts = density.with > density.without - LOST_DENSITY;
         let large = self.certain || self.scale > NOTABLE * natural;

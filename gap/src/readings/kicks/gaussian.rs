@@ -73,6 +73,13 @@ impl Kicks {
         Late { spread, std: width * spread, log_evidence, gain: top + 0.5 * self.in_time(), ratio: x.exp() }
     }
 
+    /// Whether commands that are late so are likelier than kicks at the same times that are all alike: a force that scatters kicks the
+    /// machine where its commands do and in their direction, more so than noise which knows no directions, but not in proportion to
+    /// what they change.
+    pub(in crate::readings) fn go_with_changes(&self, late: &Late, most: f64) -> bool {
+        late.gain > self.even().late(most).gain
+    }
+
     /// What each command was most likely late by where they scatter so, in units of its response.
     pub(in crate::readings) fn shares(&self, late: &Late) -> Option<Vec<f64>> {
         let (ones, precision) = (vec![1.0; self.kicks.len()], late.ratio.powi(-2));
