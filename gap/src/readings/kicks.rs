@@ -172,21 +172,22 @@ impl Kicks {
 
     /// The same if every command changed by as much as another one, half of the log away, does.
     pub(super) fn exchanged(&self) -> Self {
-        let (count, least) = (self.kicks.len(), self.least_change());
-        let other = |k: usize| self.kicks[(k + count / 2) % count].change;
-        let scales: Vec<f64> = (0..count).map(|k| other(k) / self.kicks[k].change.abs().max(least)).collect();
-        let mut kicks = self.clone();
-        kicks.scale(&scales);
-        kicks
+        let count = self.kicks.len();
+        self.with_changes(|k| self.kicks[(k + count / 2) % count].change)
     }
 
     /// The same if every command changed by as much, each in its own direction: what a force that scatters leaves, whatever the
     /// commands.
     pub(super) fn even(&self) -> Self {
+        let usual = root_mean_square(&self.kicks.iter().map(|k| k.change).collect::<Vec<f64>>());
+        self.with_changes(|_| usual)
+    }
+
+    /// The same if each changed by so much, in the direction in which it did: responses are in proportion.
+    fn with_changes(&self, other: impl Fn(usize) -> f64) -> Self {
         let least = self.least_change();
-        let changes: Vec<f64> = self.kicks.iter().map(|k| k.change).collect();
-        let usual = root_mean_square(&changes);
-        let scales: Vec<f64> = changes.iter().map(|change| usual / change.abs().max(least)).collect();
+        let scale = |(k, kick): (usize, &Kick)| other(k) / kick.change.abs().max(least);
+        let scales: Vec<f64> = self.kicks.iter().enumerate().map(scale).collect();
         let mut kicks = self.clone();
         kicks.scale(&scales);
         kicks

@@ -55,10 +55,8 @@ struct Look {
     plain: f64,
     /// Log evidence for commands that scatter on the time that is fitted.
     fitted: f64,
-    /// Log likelihood against that of commands whose changes are exchanged.
-    own: f64,
-    /// Whether the lateness is likelier than kicks that do not go with what the commands change.
-    go_with_changes: bool,
+    /// The innovations as they would be had no command been moved.
+    all: Kicks,
 }
 
 /// The innovations under one process noise.
@@ -74,6 +72,13 @@ struct Level {
 }
 
 impl Look {
+    /// Whether they were late: kicks at the same times that do not go with what the commands change, but with what others do, or
+    /// that are all alike, say less.
+    fn is_of_changes(&self, most: f64) -> bool {
+        let own = self.late.gain - self.all.exchanged().late(most).gain;
+        own >= TOLD && self.all.go_with_changes(&self.late, most)
+    }
+
     /// The commands that say most of it.
     fn telling(&self) -> Vec<usize> {
         let mut order: Vec<usize> = (0..self.commands.len()).collect();
@@ -142,7 +147,7 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
     let told = -0.5 * (cost - base.innovation.evidence_cost);
     let stamps = |commands: &[usize]| commands.iter().map(|k| recorded.times[*k]).collect::<Vec<f64>>();
     let (telling, all) = (stamps(&last.telling()), stamps(&last.commands));
-    if told.min(last.own) < TOLD || !last.go_with_changes || come_at_rest(setup, base, &telling, &all) {
+    if told < TOLD || !last.is_of_changes(most) || come_at_rest(setup, base, &telling, &all) {
         return None;
     }
     let value = Value { value: last.late.spread, std: last.late.std, unit: "s".into() };
@@ -216,22 +221,10 @@ fn look(
     let Level { kicks, fitted, already, all, late } = best;
     let shares = all.shares(&late)?;
     let explained = all.explained(&shares);
-    let own = late.gain - all.exchanged().late(most).gain;
-    let go_with_changes = all.go_with_changes(&late, most);
     let scattered = fitted.scattered(&already, &late);
     let part = fitted.with(&already);
     let fitted = part.late(most).log_evidence - 0.5 * (part.of_same() - same_fitted);
-    Some(Look {
-        commands: kicks.commands(),
-        shares,
-        explained,
-        late,
-        scattered,
-        plain,
-        fitted,
-        own,
-        go_with_changes,
-    })
+    Some(Look { commands: kicks.commands(), shares, explained, late, scattered, plain, fitted, all })
 }
 
 /// The commands at the times that the look found, in their order.

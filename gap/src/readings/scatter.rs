@@ -133,7 +133,7 @@ fn at_input(setup: &Setup, fit: &Fit, noise: &Noise, input: usize) -> Vec<Readin
     };
     // What wants to be larger than it can be is something else.
     if late.spread < 0.95 * MOST_PERIODS * period {
-        effects.extend(jitter.against(of_commands(setup, delays), &place));
+        effects.extend(jitter.against(setup, delays, &place));
     }
     if let Some(lost) = lost {
         let count = lost.lost.iter().filter(|lost| **lost).count();
@@ -147,7 +147,7 @@ fn at_input(setup: &Setup, fit: &Fit, noise: &Noise, input: usize) -> Vec<Readin
             likelier: !times && (count >= FEWEST || lost.rate >= RAREST),
             certain: false,
         };
-        effects.extend(drops.against(of_commands(setup, &losses), &place));
+        effects.extend(drops.against(setup, &losses, &place));
     }
     effects
 }
@@ -275,24 +275,27 @@ fn of_reading(setup: &Setup, pass: &Pass, noise: &Noise, output: usize) -> Optio
 fn of_commands(setup: &Setup, kicks: &Kicks) -> Option<Parts> {
     let held_out = |k: &usize| setup.test.iter().any(|s| (s.from..s.to).contains(&kicks.stamp[*k]));
     let (test, train): (Vec<usize>, Vec<usize>) = (0..kicks.stamp.len()).partition(held_out);
-    let of = |own: &[usize], squares: &[f64]| {
+    let squares = kicks.squares();
+    let of = |own: &[usize]| {
         let innovations = own.iter().map(|&k| kicks.whitened[k]).collect();
         Sensitivity { innovations, size: own.iter().map(|&k| squares[k].sqrt()).collect() }.usable()
     };
-    let squares = kicks.squares();
-    let by_size = |kicks: Kicks| of(&train, &kicks.squares()).map_or(0.0, |kicks| kicks.by_size());
-    let (exchanged, even) = (by_size(kicks.exchanged()).max(0.0), by_size(kicks.even()));
-    Some(Parts { train: of(&train, &squares)?, test: of(&test, &squares)?, exchanged, even })
+    Some(Parts { train: of(&train)?, test: of(&test)? })
 }
 
 /// Sensitivities on time that is fitted and on time that is held out.
 struct Parts {
     train: Sensitivity,
     test: Sensitivity,
-    /// Log evidence for kicks as large as those of other commands: what a machine that sometimes rests shows while it moves.
-    exchanged: f64,
-    /// Log evidence for kicks that are all alike: what a force that scatters leaves.
-    even: f64,
+}
+
+/// Log evidence for innovations that are larger where the commands' own changes are, over what they show of kicks as large as those of
+/// other commands: a machine that sometimes rests shows such while it moves. None where kicks that are all alike, as a force that
+/// scatters leaves them, say more.
+fn by_changes(setup: &Setup, kicks: &Kicks, own: &Sensitivity) -> f64 {
+    let of = |others: Kicks| of_commands(setup, &others).map_or(0.0, |parts| parts.train.by_size());
+    let own = own.by_size();
+    if own > of(kicks.even()) { own - of(kicks.exchanged()).max(0.0) } else { 0.0 }
 }
 
 /// Log predictive densities of held-out readings without and with commands that come `late` (s), or not at all, by shares of
@@ -304,7 +307,7 @@ pub(super) fn density_at_input(
     (late, share): (f64, f64),
 ) -> Option<LogDensity> {
     let kicks = Kicks::new(setup, fit, &open_noise(setup, fit), input, late)?;
-    let Parts { train, test, .. } = of_commands(setup, &kicks)?;
+    let Parts { train, test } = of_commands(setup, &kicks)?;
     Some(densities(&train, &test, share))
 }
 
@@ -421,15 +424,13 @@ struct Judged {
 }
 
 impl Judged {
-    fn against(self, parts: Option<Parts>, place: &str) -> Option<ReadingEffect> {
-        let Parts { train, test, exchanged, even } = parts?;
+    fn against(self, setup: &Setup, kicks: &Kicks, place: &str) -> Option<ReadingEffect> {
+        let Parts { train, test } = of_commands(setup, kicks)?;
         let density = densities(&train, &test, self.scale);
         // A wrong mean lies along the kicks as well; chance alone makes innovations large where kicks are.
         let natural = train.floor(0.0) / root_mean_square(&train.size);
-        let goes_with_changes = |by_size: &f64| *by_size > even;
-        let by_size = || Some(train.by_size()).filter(goes_with_changes).map_or(0.0, |own| own - exchanged);
-        let by_size = if self.certain { f64::INFINITY } else { by_size() };
-        let evidence = self.evidence.max(-2.0 * by_size);
+        let told = if self.certain { f64::INFINITY } else { by_changes(setup, kicks, &train) };
+        let evidence = self.evidence.max(-2.0 * told);
         let predicts = density.with > density.without - LOST_DENSITY;
         let large = self.certain || self.scale > NOTABLE * natural;
         let notable = self.likelier && train.is_white() && large && predicts;
