@@ -105,4 +105,11 @@ fn two_cases_are_made_sealed_diagnosed_and_scored() {
     let orphans = withheld(&out, &["--resume"]);
     assert_eq!(orphans.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&orphans.stderr).contains("never sealed"));
+
+    // Where nothing was begun nothing is gone on with: a folder's name that is mistyped begins no other run.
+    let nowhere = out.join("nowhere");
+    let nothing = withheld(&nowhere, &["--resume"]);
+    assert_eq!(nothing.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&nothing.stderr).contains("no sealed run"));
+    assert!(!nowhere.exists());
 }

@@ -135,6 +135,12 @@ fn sealed(arguments: &Arguments, signals: &Signals) -> Result<String, Failure> {
         }
         None => truth::refuse_orphans(&arguments.out.join(CASES))?,
     }
+    if arguments.resume {
+        let out = arguments.out.display();
+        return Err(Failure::input(anyhow!(
+            "{out} holds no sealed run to go on with; begin one without --resume, or name the --out of one"
+        )));
+    }
     if arguments.counts.is_empty() {
         return Err(Failure::input(anyhow!(
             "no case is asked for; give at least one set a count, such as --singles 10"
