@@ -33,7 +33,7 @@ impl View<'_> {
             if kind.statistical() || labels.contains(&name) {
                 continue;
             }
-            if self.shifted(lacking, kind) {
+            if self.shifted(lacking, kind) || self.is_its_sum(lacking, kind, place, enough) {
                 labels.push(name);
                 continue;
             }
@@ -64,6 +64,21 @@ impl View<'_> {
                 labels.push(name);
             }
         }
+    }
+
+    /// Whether it is another value of a constant to which the true one adds, or adds to a constant whose other value is true: an added
+    /// inertia is another inertia, and the same machine.
+    fn is_its_sum(&self, lacking: &Cause, kind: Kind, place: Place, enough: impl Fn(f64) -> bool) -> bool {
+        let real = &self.run.parameters;
+        let size = match (lacking.place, place) {
+            (Place::Parameter(k), Place::Joint(_)) => lacking.p[0] - real[k],
+            (Place::Joint(_), Place::Parameter(k)) => lacking.p[0] + real[k],
+            _ => return false,
+        };
+        if size <= 0.0 && !kind.two_sided() {
+            return false;
+        }
+        enough(self.at_the_truth(Cause { kind, place, p: [size, 0.0, 0.0, 0.0] }))
     }
 
     /// Whether it is the true one at the other end of a machine with one command and one sensor, whose clocks or times are

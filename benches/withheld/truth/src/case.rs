@@ -1,6 +1,6 @@
 //! One case: a machine with real parameters, a cause or none, and what was recorded of it.
 
-use crate::channel::{Channel, scatter, show};
+use crate::channel::{Channel, scatter, show, was_taken};
 use crate::drive::{command, excitation, played};
 use crate::effect::{Cause, Kind, uniform};
 use crate::mechanics::{H, Machine};
@@ -156,6 +156,7 @@ impl Case {
         let readings = (0..system.outputs.len())
             .map(|o| {
                 let mut shown = self.shown(o, &states, &self.causes);
+                shown.retain(|(stamp, _)| was_taken(&self.causes, o, *stamp, (steps - 1) as f64 * H));
                 let mut rngs = [self.chances(30 + o as u64), self.chances(40 + o as u64)];
                 scatter(&self.causes, o, &mut shown, noise[o], &mut rngs);
                 shown

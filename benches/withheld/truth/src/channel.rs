@@ -49,16 +49,18 @@ impl Channel {
         self.queue.push_back((self.last, value));
     }
 
-    /// What acts from `t` to `t + H`.
+    /// What acts from `t` to `t + H`: a message that arrives meanwhile does so for the rest of it, which pushes as much as its share.
     pub(crate) fn act(&mut self, t: f64) -> f64 {
+        let mut u = self.held.unwrap_or(self.rest);
         while let Some(&(arrival, value)) = self.queue.front() {
-            if arrival > t + 1e-9 {
+            let share = (t + H - arrival) / H;
+            if share < 1e-5 {
                 break;
             }
+            u = if share < 1.0 - 1e-5 { u + share * (value - self.held.unwrap_or(self.rest)) } else { value };
             self.held = Some(value);
             self.queue.pop_front();
         }
-        let mut u = self.held.unwrap_or(self.rest);
         for (c, state) in self.causes.iter().zip(&mut self.state) {
             u = actuator(c, state, u, self.rest);
         }
@@ -161,9 +163,10 @@ pub(crate) fn show(
         if lost {
             continue;
         }
-        let at = (taken / H).clamp(0.0, last as f64);
-        let (i, part) = (at.floor() as usize, at.fract());
-        let mut y = shown[i] + part * (shown[(i + 1).min(last)] - shown[i]);
+        let at = (taken / H).max(0.0);
+        // Beyond the end it goes on as it went last ([`was_taken`]).
+        let i = (at as usize).min(last.saturating_sub(1));
+        let mut y = shown[i] + (at - i as f64) * (shown[(i + 1).min(last)] - shown[i]);
         for c in &causes {
             let [a, b, ..] = c.p;
             match c.kind {
@@ -177,6 +180,12 @@ pub(crate) fn show(
         readings.push((stamp, y));
     }
     readings
+}
+
+/// Whether a reading with this stamp is from before the end of the run: a sensor whose clock is fast shows what comes after it.
+pub(crate) fn was_taken(causes: &[Cause], output: usize, stamp: f64, end: f64) -> bool {
+    let fast = causes.iter().filter(|c| c.place == Place::Output(output) && c.kind == Kind::SkewOut);
+    stamp - fast.map(|c| c.p[0] * stamp).sum::<f64>() <= end
 }
 
 /// How readings scatter: noise of the sensor, then what is wrong with it.

@@ -177,6 +177,14 @@ impl<'a> View<'a> {
         view
     }
 
+    /// What a machine with a further cause, and the real parameters, leaves of the sensors' values.
+    pub(crate) fn at_the_truth(&self, cause: Cause) -> f64 {
+        let causes: Vec<Cause> = self.causes.iter().copied().chain([cause]).collect();
+        let starts: Vec<State> =
+            (0..self.starts.len()).map(|segment| self.run.states[segment * SEGMENT]).collect();
+        square(&minus(&self.target, &self.show(&self.run.parameters, &starts, &causes)))
+    }
+
     fn settle(&mut self, enough: impl Fn(f64) -> bool) {
         self.shown = self.show(&self.parameters, &self.starts, &self.causes);
         self.rest = minus(&self.target, &self.shown);

@@ -120,6 +120,33 @@ fn a_late_sensor_shows_earlier_samples() {
 }
 
 #[test]
+fn a_sensor_with_a_fast_clock_shows_nothing_from_after_the_end() {
+    let fast = cause(Kind::SkewOut, Place::Output(0), [-0.005, 0.0, 0.0, 0.0]);
+    let case = plain(ALL[0], vec![fast], 2.0, 3);
+    let run = case.run();
+    let noise = run.noise[0];
+    // 10 ms too far at the end, which is one reading.
+    assert!(run.readings[0].len() < case.shown(0, &run.states, &[]).len());
+    for (stamp, y) in &run.readings[0] {
+        let at = (stamp * 1.005 / H).round() as usize;
+        let (truth, speed) = (run.states[at].q[0], run.states[at].v[0]);
+        assert!((y - truth).abs() < 5.0 * noise + speed.abs() * H, "{stamp} s");
+    }
+}
+
+#[test]
+fn a_command_that_arrives_within_a_step_acts_for_the_rest_of_it() {
+    let late = cause(Kind::DelayIn, Place::Input(0), [0.25 * H, 0.0, 0.0, 0.0]);
+    let case = plain(ALL[0], vec![late], 1.0, 3);
+    let commands = [[1.0, 0.0, 0.0], [3.0, 0.0, 0.0]];
+    let every = (1.0 / ALL[0].command_rate / H).round() as usize;
+    let acting = case.acting(&commands, 2 * every, &case.causes);
+    assert_eq!(acting[every - 1][0], 1.0);
+    assert!((acting[every][0] - 2.5).abs() < 1e-9, "{}", acting[every][0]);
+    assert_eq!(acting[every + 1][0], 3.0);
+}
+
+#[test]
 fn every_folder_is_well_formed() {
     for system in 0..systems().len() {
         let made = files(&Plan { set: Set::Null, system, effect: 0 }, 8);
@@ -213,6 +240,19 @@ fn another_parameter_joins_what_looks_like_it() {
     let (_, class) = judge(&case, &run);
     assert_eq!(class[0], "parameter@parameter:b1");
     assert!(class.contains(&"viscous@joint:shoulder".to_owned()), "{class:?}");
+}
+
+/// An inertia that is added to another one is another inertia, however much the motor constant, which may not go on, would like
+/// to stand in for either.
+#[test]
+fn another_inertia_is_an_added_one() {
+    for value in [0.0262, 0.028] {
+        let heavier = cause(Kind::Parameter, Place::Parameter(0), [value, 0.0, 0.0, 0.0]);
+        let case = plain(ALL[0], vec![heavier], 20.0, 13333572978654078852);
+        let (_, class) = judge(&case, &case.run());
+        assert_eq!(class[0], "parameter@parameter:J");
+        assert!(class.contains(&"inertia@joint:shaft".to_owned()), "{value}: {class:?}");
+    }
 }
 
 /// Friction of one direction is friction of both and a constant force, which this machine may have.
