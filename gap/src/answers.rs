@@ -69,7 +69,10 @@ pub(crate) fn is_mean_of(setup: &Setup, effect: &FittedEffect, spread: f64) -> b
     };
     match Effect::from_name(&effect.name) {
         Some(Effect::Delay) => late("delay", 1.0),
-        Some(Effect::Lag | Effect::SensorLag) => effect.parameters.len() == 1 && late("time_constant", 1.0),
+        // Of second order, what is slow is late by 2 ζ T: the group delay of 1 / (T² s² + 2 ζ T s + 1) at rest.
+        Some(Effect::Lag | Effect::SensorLag) => {
+            late("time_constant", effect.parameters.get("damping").map_or(1.0, |damping| 2.0 * damping.value))
+        }
         // What has parted at the end is twice the mean.
         Some(Effect::ClockSkew) => late("skew", 0.5 * (to - from)),
         _ => false,
@@ -91,7 +94,9 @@ fn late_there(answer: &Which, effect: usize, places: &[&str]) -> Option<String> 
     let found = names.find(|(place, there)| {
         let is_in = |name: &String| {
             let parts: BTreeSet<String> = name.split(" + ").map(str::to_owned).collect();
-            parts.contains(there) && parts.len() == others.len() + 1 && others.is_subset(&parts)
+            // What is late there is named beside it where it is one of the others.
+            let adds = parts.contains(there) && !others.contains(there);
+            adds && parts.len() == others.len() + 1 && others.is_subset(&parts)
         };
         **place == own.place || answer.class.iter().any(is_in)
     });

@@ -26,7 +26,7 @@ use crate::library;
 use crate::maps;
 pub use crate::options::Options;
 use crate::pieces;
-use crate::posterior::{self, Answer};
+use crate::posterior::{self, Answer, Left};
 use crate::quantify::{self, Row};
 use crate::readings::{self, Acted, Raw, ReadingEffect};
 use crate::report::{
@@ -346,7 +346,7 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     // Beside causes that only scatter, what closes little may do so because of them; what closes nothing is doubted there as well.
     let closes_nothing = how_far.closed_by_effect.value <= 0.0;
     if detected && named && acted.is_none() && (causes.is_empty() || closes_nothing) {
-        answers.doubt(closed_of_what_can_be(setup, best, refitted, with_effect, options.seed));
+        answers.doubt(left_of_what_can_be(setup, best, refitted, with_effect, options.seed));
     }
     if let Some(acted) = acted {
         readings.push(acted.effect.clone());
@@ -401,16 +401,19 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     diagnosis
 }
 
-/// The share of the gap on held-out time that the `best` answer closes of what an exact model could, its rows before and `after`. What
-/// may close something is given the benefit of the doubt, unless the best guess is that it closes nothing.
-fn closed_of_what_can_be(setup: &Setup, best: &Fit, before: &Row, after: &Row, seed: u64) -> f64 {
+/// What the `best` answer leaves on held-out time of what an exact model would not, its rows before and `after`. What may close
+/// something is given the benefit of the doubt, unless the best guess is that it closes nothing.
+fn left_of_what_can_be(setup: &Setup, best: &Fit, before: &Row, after: &Row, seed: u64) -> Left {
     let simulator = library::simulator(setup, &best.hypothesis, best.residuals.clone());
     let floor = floor::expected(setup, &simulator, best.estimate(), &best.innovation.noise);
     if after.mean_square() <= floor {
-        return 1.0;
+        return Left { closed: 1.0, above: 0.0 };
     }
     let closed = quantify::closed_to(floor, before, after, seed);
-    if closed.value > 0.0 { closed.high } else { closed.value }
+    let closed = if closed.value > 0.0 { closed.high } else { closed.value };
+    let reached = best.shooting_error <= INEXACT;
+    let above = if reached { (1.0 - closed) * (before.mean_square() / floor - 1.0).max(0.0) } else { 0.0 };
+    Left { closed, above }
 }
 
 /// What each of several effects closes; nothing for one.

@@ -1,6 +1,7 @@
 //! The weights of the answers: evidence, tempered, gathered into classes that the data cannot tell apart.
 
 mod classes;
+mod doubt;
 
 use nalgebra::DVector;
 
@@ -15,6 +16,7 @@ use crate::signature::{self, Nuisance, SAME};
 use crate::stop::UNKNOWN;
 use crate::unknown;
 use classes::{beyond_its_range, gives_way, lead_with_the_simplest};
+pub(crate) use doubt::Left;
 use rayon::prelude::*;
 
 /// Prior probability that there is no gap, and that no named effect describes it; effects share the rest equally.
@@ -27,12 +29,6 @@ const PRIOR_FURTHER: f64 = 0.3;
 /// Cosine of two signatures from which they are of one and the same change of the model: of a pendulum's motor constant and its
 /// inverse inertia they differ in the sixth digit.
 const IDENTICAL: f64 = 1.0 - 1e-7;
-
-/// Probability, at most, that a named effect is none of the cause because predictions on held-out time stay off; and the
-/// share of the gap left there at which two thirds of it are reached. On development data an effect that closed 98 %
-/// was the cause in 85 of 100 cases, one that closed 90 to 98 % in 75, one that closed less in 45.
-const DOUBT: f64 = 0.45;
-const LEFT: f64 = 0.1;
 
 /// Share of what a form may be off by that an effect must explain beside commands that acted otherwise: when each did is known
 /// better than the form of what moves the machine.
@@ -92,13 +88,12 @@ impl Posterior {
         self.judge.cost(fit)
     }
 
-    /// Takes probability from the named answers where the leader closes no more than this share of the gap on held-out
-    /// time, which no evidence was taken from. What is named stays named: a machine is never quite as in the library.
-    pub fn doubt(&mut self, closed: f64) {
+    /// Takes probability from the named answers for what the leader leaves on held-out time, which no evidence was taken from. What is
+    /// named stays named: a machine is never quite as in the library.
+    pub(crate) fn doubt(&mut self, left: Left) {
         let Some(first) = self.answers.first().map(|a| a.probability) else { return };
         let named: f64 = self.answers.iter().map(|a| a.probability).sum();
-        let share = doubted(first, named, self.unexplained, closed);
-        self.leave_to_unknown(1.0 - share);
+        self.leave_to_unknown(1.0 - left.doubted(first, named, self.unexplained));
     }
 
     /// The fits of other answers that follow the windows no worse than the leading one.
@@ -420,16 +415,6 @@ fn residual_on(
     fits.into_iter().min_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)))
 }
 
-/// The share of the `named` answers' probability that goes to none of them where the `first`, whose probability stays
-/// the larger, closes no more than a share of the gap.
-fn doubted(first: f64, named: f64, unexplained: f64, closed: f64) -> f64 {
-    let left = (1.0 - closed).max(0.0);
-    let most = 0.9 * (first - unexplained) / (first + named);
-    // Not a number where there was nothing to close.
-    let share = (DOUBT * (1.0 - (-left / LEFT).exp())).min(most);
-    if share > 0.0 { share } else { 0.0 }
-}
-
 /// Keeps the best of an effect's forms at a place, from fits in the order of their cost. Gives how many forms each had:
 /// they share the prior of the effect.
 fn best_forms(fits: &mut Vec<Fit>) -> Vec<f64> {
@@ -445,21 +430,4 @@ fn best_forms(fits: &mut Vec<Fit>) -> Vec<f64> {
         first
     });
     forms
-}
-
-#[cfg(test)]
-mod tests {
-    use super::doubted;
-
-    #[test]
-    fn doubt_grows_with_what_is_left_and_never_takes_the_lead() {
-        let share = |closed: f64| doubted(0.9, 0.98, 0.01, closed);
-        assert_eq!((share(1.0), share(1.2), share(f64::NAN)), (0.0, 0.0, 0.0));
-        assert!(share(0.99) < 0.05 && share(0.9) > 0.25 && share(0.5) > share(0.9) && share(-9.0) <= 0.45);
-        for unexplained in [0.0, 0.1, 0.3, 0.39] {
-            let (first, named) = (0.4, 1.0 - unexplained);
-            let share = doubted(first, named, unexplained, 0.0);
-            assert!((1.0 - share) * first > unexplained + share * named);
-        }
-    }
 }

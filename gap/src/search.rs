@@ -1,6 +1,7 @@
 //! Fits every hypothesis and weighs them: short windows find the minimum, the innovation likelihood ranks.
 
 mod fitted;
+mod wave;
 
 use parallax_model::plant::Residual;
 use rayon::prelude::*;
@@ -218,6 +219,7 @@ fn screen(setup: &Setup, base: &Fit, hypothesis: Hypothesis) -> Screened {
     for start in &mut starts {
         continue_from(base, &hypothesis, start);
     }
+    wave::turned(setup, base, &hypothesis, &mut starts);
     if base.is_strained() {
         starts.extend(declared);
     }

@@ -100,19 +100,22 @@ pub(crate) fn acted(
         let plain = (!explained || effect == Effect::Delay).then_some(null);
         let named = (!leader.hypothesis.effects.is_empty()).then_some(leader);
         // What joined the leader's first effect may be there for what these commands left.
-        let mut bases = plain.into_iter().chain(part_of(answers, leader)).chain(named);
+        let mean = EffectAt { effect: Effect::Delay, place: place.clone() };
+        let late = alike(answers).find(|fit| effect == Effect::Jitter && is_only(fit, &mean));
+        let mut bases = plain.into_iter().chain(part_of(answers, leader)).chain(named).chain(late);
         bases.find_map(|base| {
             under(setup, base, input, &place).filter(|acted| {
                 // What is less than a leading effect's form may be off by is its form; where that leaves nothing, a few lost
                 // commands may still be told, times that scatter a little are of how commands are held between their stamps. A
                 // machine that sticks forgets what it was told whatever became of it: beside dry friction they must show
-                // as well as an effect does.
+                // as well as an effect does. A delay of the same commands is the mean of their times and no form of them.
                 let sticks = base.hypothesis.effects.iter().any(|at| at.effect.is_dry());
                 let shows = base.innovation.evidence_cost - acted.cost > EXPLAINED;
                 let exact = base.shooting_error < AT_FLOOR && effect == Effect::Drops && (shows || !sticks);
                 let form = base.shooting_error <= INEXACT
                     && !exact
                     && !base.hypothesis.effects.is_empty()
+                    && !(effect == Effect::Jitter && is_only(base, &mean))
                     && !judge.is_material_from(base.shooting_error, acted.error);
                 let margin = if base.shooting_error <= INEXACT { DECISIVE.0 } else { DECISIVE.1 };
                 acted.cost < best - margin && !form
@@ -130,6 +133,15 @@ pub(crate) fn acted(
     let ruled = |acted: &Acted| !acted.by_chance && best - acted.cost > MOST * gain;
     // Of equals the first.
     found.into_iter().min_by(|a, b| ruled(b).cmp(&ruled(a)).then(a.cost.total_cmp(&b.cost)))
+}
+
+/// What the data do not tell from the leading answer.
+fn alike(answers: &Posterior) -> impl Iterator<Item = &Fit> {
+    answers.answers.first().into_iter().flat_map(|answer| &answer.alike)
+}
+
+fn is_only(fit: &Fit, at: &EffectAt) -> bool {
+    fit.hypothesis.effects.len() == 1 && fit.hypothesis.effects[0] == *at
 }
 
 /// The best answer with a single effect that is one of several of the leader's.

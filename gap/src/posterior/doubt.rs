@@ -1,0 +1,55 @@
+//! Doubt that a named effect is the cause, from what is left on held-out time with it.
+
+/// Probability, at most, that a named effect is none of the cause because predictions on held-out time stay off; and the
+/// share of the gap left there at which two thirds of it are reached. On development data an effect that closed 98 %
+/// was the cause in 85 of 100 cases, one that closed 90 to 98 % in 75, one that closed less in 45.
+const DOUBT: f64 = 0.45;
+const LEFT: f64 = 0.1;
+
+/// Mean squared error above the floor, in units of it, at which two thirds of the doubt are reached where short windows reach the
+/// sensors' noise. On development data an effect that was the cause left up to 0.8 for certain, a hysteresis that short windows took for
+/// dry friction 1.9 to 7.7.
+const ABOVE: f64 = 2.0;
+
+/// What predictions of held-out time with the leading answer leave.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Left {
+    /// Share of the gap that is closed.
+    pub(crate) closed: f64,
+    /// Mean squared error above what an exact model would have, in units of that, where short windows reach the sensors' noise; zero
+    /// where they do not. States that are free in each window follow there what no prediction over a longer time does.
+    pub(crate) above: f64,
+}
+
+impl Left {
+    /// The share of the `named` answers' probability that goes to none of them, where the `first` stays the likeliest.
+    pub(super) fn doubted(self, first: f64, named: f64, unexplained: f64) -> f64 {
+        let left = (1.0 - self.closed).max(0.0) / LEFT;
+        let above = (self.above / ABOVE).powi(2);
+        let most = 0.9 * (first - unexplained) / (first + named);
+        // Not a number where there was nothing to close.
+        let share = (DOUBT * (1.0 - (-f64::max(left, above)).exp())).min(most);
+        if share > 0.0 { share } else { 0.0 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Left;
+
+    #[test]
+    fn doubt_grows_with_what_is_left_and_never_takes_the_lead() {
+        let of = |closed: f64, above: f64| Left { closed, above }.doubted(0.9, 0.98, 0.01);
+        let share = |closed: f64| of(closed, 0.0);
+        assert_eq!((share(1.0), share(1.2), share(f64::NAN)), (0.0, 0.0, 0.0));
+        assert!(share(0.99) < 0.05 && share(0.9) > 0.25 && share(0.5) > share(0.9) && share(-9.0) <= 0.45);
+        assert!(
+            of(1.0, 0.3) < 0.02 && of(1.0, 3.0) > 0.25 && of(0.5, 3.0) >= share(0.5) && of(1.0, 99.0) <= 0.45
+        );
+        for unexplained in [0.0, 0.1, 0.3, 0.39] {
+            let (first, named) = (0.4, 1.0 - unexplained);
+            let share = Left { closed: 0.0, above: 9.0 }.doubted(first, named, unexplained);
+            assert!((1.0 - share) * first > unexplained + share * named);
+        }
+    }
+}
