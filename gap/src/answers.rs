@@ -150,6 +150,7 @@ pub(crate) fn which(
     if let Some(none) = out.iter_mut().find(|answer| answer.effects.is_empty()) {
         none.probability += average.iter().map(|answer| answer.probability).sum::<f64>();
     }
+    let mut out = merged(out);
     let labels: Vec<String> = readings.iter().map(|r| format!("{}@{}", r.name, r.place)).collect();
     for answer in &mut out {
         if labels.is_empty() {
@@ -168,6 +169,24 @@ pub(crate) fn which(
         }));
     }
     out.sort_by(|a, b| b.probability.total_cmp(&a.probability));
+    out
+}
+
+/// One answer of those that name the same effects, the likeliest: without what others stand for the mean of, some are one.
+fn merged(all: Vec<Which>) -> Vec<Which> {
+    let names = |which: &Which| which.effects.iter().map(FittedEffect::label).collect::<BTreeSet<String>>();
+    let mut out: Vec<Which> = Vec::new();
+    for which in all {
+        match out.iter_mut().find(|known| names(known) == names(&which)) {
+            Some(known) => {
+                known.probability += which.probability;
+                let new =
+                    which.class.into_iter().filter(|name| !known.class.contains(name)).collect::<Vec<_>>();
+                known.class.extend(new);
+            }
+            None => out.push(which),
+        }
+    }
     out
 }
 

@@ -301,8 +301,17 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
         (detected, with_best) = (true, None);
     }
     let named = answers.names();
+    let mut scattered =
+        possible(readings::scatter(setup, if detected && named { answers.leader(&null) } else { &null }));
+    if detected
+        && named
+        && scattered.iter().filter_map(mean_of).any(|mean| answers.takes_for_mean(setup, &null, &mean))
+    {
+        with_best = Some(row(answers.leader(&null)));
+        scattered = possible(readings::scatter(setup, answers.leader(&null)));
+    }
     let best = &answers.leader(&null).clone();
-    readings.extend(possible(readings::scatter(setup, if detected && named { best } else { &null })));
+    readings.extend(scattered);
 
     let explanations = explain::explain(
         &explain::Evidence {
@@ -399,6 +408,12 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     let mut diagnosis = Diagnosis { report, overlays, calibrated, refitted, effects, rows };
     diagnosis.report.summary = crate::report::sentence::summary(&diagnosis.report);
     diagnosis
+}
+
+/// The delay that is the mean of an output's times, if those scatter.
+fn mean_of(r: &ReadingEffect) -> Option<EffectAt> {
+    let place = r.place.parse().ok().filter(|_| r.significant && r.name == Effect::Jitter.name())?;
+    r.place.starts_with("output:").then_some(EffectAt { effect: Effect::Delay, place })
 }
 
 /// What the `best` answer leaves on held-out time of what an exact model would not, its rows before and `after`. What may close

@@ -9,8 +9,9 @@ use crate::combine;
 use crate::fit::TEMPERATURE;
 use crate::hypothesis::EffectAt;
 use crate::judge::{self, DECISIVE, EVEN, Judge, WORTH};
+use crate::library;
 use crate::options::Options;
-use crate::search::Fit;
+use crate::search::{self, Fit};
 use crate::setup::Setup;
 use crate::signature::{self, Nuisance, SAME};
 use crate::stop::UNKNOWN;
@@ -94,6 +95,36 @@ impl Posterior {
         let Some(first) = self.answers.first().map(|a| a.probability) else { return };
         let named: f64 = self.answers.iter().map(|a| a.probability).sum();
         self.leave_to_unknown(1.0 - left.doubted(first, named, self.unexplained));
+    }
+
+    /// Puts a delay at the place of readings whose times scatter, where it is their mean, in the place of one of several effects of the
+    /// leading answer, where the evidence does not tell the two apart decisively: what is late on average looks late in more than one way.
+    /// Gives whether it did.
+    pub(crate) fn takes_for_mean(&mut self, setup: &Setup, null: &Fit, delay: &EffectAt) -> bool {
+        let Some(leader) = self.answers.first_mut() else { return false };
+        let effects = &leader.fit.hypothesis.effects;
+        if effects.len() < 2 || effects.contains(delay) {
+            return false;
+        }
+        let with = |k: usize| {
+            let mut effects = effects.clone();
+            effects[k] = delay.clone();
+            search::fit_part(setup, null, library::hypothesis(setup, &effects), &leader.fit)
+        };
+        let others: Vec<Fit> = (0..effects.len()).into_par_iter().map(with).collect();
+        let judge = &self.judge;
+        let best = others.into_iter().min_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
+        let Some(best) = best.filter(|fit| judge.cost(fit) < judge.cost(&leader.fit) + DECISIVE) else {
+            return false;
+        };
+        let label = best.hypothesis.label();
+        let members = leader
+            .members
+            .first()
+            .map(|(_, probability, closed)| (best.hypothesis.effects.clone(), *probability, *closed));
+        (leader.class, leader.members) = (vec![label], members.into_iter().collect());
+        (leader.fit, leader.alike) = (best, Vec::new());
+        true
     }
 
     /// The fits of other answers that follow the windows no worse than the leading one.
