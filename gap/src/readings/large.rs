@@ -24,6 +24,9 @@ use crate::statistics::{median, quantile};
 const SMALL: [f64; 7] = [0.05, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9];
 const FINER: [f64; 4] = [0.1, 0.04, 0.015, 0.005];
 
+/// Values at either end that are tried together at last.
+const NEXT: [isize; 3] = [1, 2, 3];
+
 /// Further searches, each from the fit that the one before led to, at most.
 const ROUNDS: usize = 8;
 
@@ -99,15 +102,38 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
         refitted(&there, base)
     };
     let mut fit = refit(way);
+    let better = |other: &Fit, fit: &Fit| other.innovation.evidence_cost < fit.innovation.evidence_cost - 1.0;
+    // Calibrated parameters that make up for a time that is far off hide the right one until they are fitted to it.
+    for late in &times {
+        if fit.shooting_error <= INEXACT {
+            break;
+        }
+        let next = Way { late: *late, ..way };
+        let other = refit(next);
+        if better(&other, &fit) {
+            (way, fit) = (next, other);
+        }
+    }
     // What nobody knew of was noise: the less of it is left, the clearer they show.
     for _ in 0..ROUNDS {
         let mut clean = setup.clone();
         let (next, _) = commands.refined(way, ratio.sqrt(), |way| commands.cost(&mut clean, &fit, way));
         let closer = refit(next);
-        if closer.innovation.evidence_cost > fit.innovation.evidence_cost - 1.0 {
+        if !better(&closer, &fit) {
             break;
         }
         (way, fit) = (next, closer);
+    }
+    // So do values at the edges, some of which were not sent in the time that is fitted.
+    for (low, high) in NEXT.into_iter().flat_map(|step| [(-step, 0), (step, 0), (0, -step), (0, step)]) {
+        while fit.shooting_error > INEXACT && !setup.stop.asked() {
+            let Some(next) = commands.wider(way, low, high) else { break };
+            let other = refit(next);
+            if !better(&other, &fit) {
+                break;
+            }
+            (way, fit) = (next, other);
+        }
     }
     // The three numbers are paid for.
     let cost = fit.innovation.evidence_cost + 3.0 * (recorded.values.len() as f64).ln();
@@ -184,6 +210,12 @@ impl Commands<'_> {
         ordered && many(self.large(way).filter(|large| *large).count())
     }
 
+    /// With so many values more that are small at either end, where enough of both are left.
+    fn wider(&self, way: Way, low: isize, high: isize) -> Option<Way> {
+        let moved = way.low.checked_add_signed(low).zip(way.high.checked_add_signed(high));
+        moved.map(|(low, high)| Way { low, high, ..way }).filter(|way| self.can_tell(*way))
+    }
+
     /// The commands as they acted.
     fn moved(&self, way: Way) -> Held {
         moved_by(self.recorded, self.large(way).map(|large| if large { way.late } else { 0.0 }).enumerate())
@@ -210,9 +242,7 @@ impl Commands<'_> {
             let step = step as isize;
             for (low, high) in [(-step, 0), (step, 0), (0, -step), (0, step)] {
                 loop {
-                    let moved = way.low.checked_add_signed(low).zip(way.high.checked_add_signed(high));
-                    let next =
-                        moved.map(|(low, high)| Way { low, high, ..way }).filter(|way| self.can_tell(*way));
+                    let next = self.wider(way, low, high);
                     let at = next.map_or(f64::INFINITY, &mut cost);
                     let Some(next) = next.filter(|_| at < least) else { break };
                     (least, way) = (at, next);
