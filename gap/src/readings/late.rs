@@ -7,10 +7,10 @@
 use parallax_model::effect::{Effect, Place};
 
 use super::acted::{Acted, TOLD, refitted};
-use super::found;
 use super::kicks::{Kicks, Late};
 use super::scatter::{self, MOST_PERIODS};
 use super::still::come_at_rest;
+use super::{found, lost};
 use crate::experiment::Held;
 use crate::filter::Noise;
 use crate::hypothesis::{EffectAt, Slot};
@@ -37,6 +37,9 @@ const MOST: f64 = 0.5;
 /// Steps in which another process noise is tried, as logarithms of variances, and how many at most.
 const STEP: f64 = 1.0;
 const STEPS: usize = 8;
+
+/// Ratio of a spread to that of losses up to which it is one of losses.
+const AS_LOST: f64 = 1.3;
 
 /// Messages do not overtake each other: the least time between two (s).
 const APART: f64 = 1e-9;
@@ -118,6 +121,7 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
         return None;
     }
     let mut best: Option<(f64, f64, Setup, Look)> = None;
+    let mut delay = of_all(base, place);
     // Short times under a model that leaves nothing else are as their responses say, in proportion; of all of the log, as most of
     // what speaks for them lies in how much else scatters.
     if fit.shooting_error <= INEXACT && last.late.spread < unit && last.fitted > WORTH_A_LOOK {
@@ -141,6 +145,7 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
         // What wants to be larger than it can be is something else.
         if fit.shooting_error <= INEXACT.max(LEFT * base.shooting_error) && last.late.spread < 0.95 * most {
             best = Some((cost, fit.shooting_error, clean.clone(), last.clone()));
+            delay = of_all(&fit, place);
         }
     }
     let (cost, error, clean, last) = best?;
@@ -150,12 +155,39 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
     if told < TOLD || !last.is_of_changes(most) || come_at_rest(setup, base, &telling, &all) {
         return None;
     }
-    let value = Value { value: last.late.spread, std: last.late.std, unit: "s".into() };
-    let density = scatter::density_at_input(setup, base, input, (unit, last.late.spread / unit));
-    let effect =
-        found("jitter", place.to_string(), ("spread", value), -2.0 * told, true, density.unwrap_or_default());
-    let acted = clean.experiment.inputs[input].clone();
+    let mut acted = clean.experiment.inputs[input].clone();
+    let late: f64 = last.commands.iter().map(|k| acted.times[*k] - recorded.times[*k]).sum();
+    let count = last.commands.len() as f64;
+    let effect = if let Some(rate) = lost_share(delay + late / count, last.late.spread, period) {
+        // Their mean is of the losses, and nothing beside them.
+        acted.times.iter_mut().for_each(|time| *time += delay);
+        let std = (rate * (1.0 - rate) / count).sqrt();
+        let value = Value { value: rate, std, unit: String::new() };
+        let density = scatter::density_at_input(setup, base, input, (f64::INFINITY, rate.sqrt()));
+        found("drops", place.to_string(), ("rate", value), -2.0 * told, true, density.unwrap_or_default())
+    } else {
+        let value = Value { value: last.late.spread, std: last.late.std, unit: "s".into() };
+        let density = scatter::density_at_input(setup, base, input, (unit, last.late.spread / unit));
+        found("jitter", place.to_string(), ("spread", value), -2.0 * told, true, density.unwrap_or_default())
+    };
     Some(Acted { input, recorded: recorded.clone(), acted, effect, by_chance: true, cost, error })
+}
+
+/// The share of commands that is lost, where that is what their times say: one that is lost is late by a period, and the others are not
+/// at all, so that of a share p the mean is p periods and the spread √(p (1 − p)) of them. What is late by chance is so more often and by
+/// less: its spread is about its mean, not twice it.
+fn lost_share(mean: f64, spread: f64, period: f64) -> Option<f64> {
+    let share = mean / period;
+    let ratio = spread / (period * (share * (1.0 - share)).sqrt());
+    ((lost::RAREST..lost::MOST).contains(&share) && (1.0 / AS_LOST..AS_LOST).contains(&ratio))
+        .then_some(share)
+}
+
+/// The delay of all commands that a fit has there (s).
+fn of_all(fit: &Fit, place: &Place) -> f64 {
+    let effects = &fit.hypothesis.effects;
+    let of = effects.iter().position(|at| at.effect == Effect::Delay && at.place == *place);
+    of.and_then(|of| fit.hypothesis.of_effect(of).next()).map_or(0.0, |k| fit.theta()[k])
 }
 
 /// How late all commands still are (s), where that explains something: calibrated parameters, fitted meanwhile, can stand in
@@ -244,4 +276,34 @@ pub(super) fn moved_by(recorded: &Held, late: impl Iterator<Item = (usize, f64)>
         last = *time;
     }
     held
+}
+
+#[cfg(test)]
+mod tests {
+    use super::lost_share;
+
+    #[test]
+    fn what_is_rarely_late_by_a_period_is_lost() {
+        let period = 0.005;
+        for share in [0.02, 0.1, 0.2, 0.35] {
+            let (mean, spread) = (share * period, period * f64::sqrt(share * (1.0 - share)));
+            for off in [0.85, 1.0, 1.15] {
+                assert!(
+                    lost_share(mean, off * spread, period).is_some_and(|found| (found - share).abs() < 1e-9)
+                );
+            }
+        }
+        // Half a normal distribution, an exponential and a uniform one.
+        for ratio in [1.32, 1.0, 1.73] {
+            for spread in [0.02, 0.1, 0.2, 0.5, 1.0, 2.0] {
+                assert_eq!(
+                    lost_share(ratio * spread * period, spread * period, period),
+                    None,
+                    "{ratio} {spread}"
+                );
+            }
+        }
+        assert_eq!(lost_share(-0.1 * period, 0.3 * period, period), None, "none acts before it is sent");
+        assert_eq!(lost_share(f64::NAN, 0.3 * period, period), None);
+    }
 }

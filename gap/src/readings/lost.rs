@@ -41,7 +41,7 @@ const LEFT: f64 = 0.1;
 const ENOUGH: usize = 10;
 
 /// Share of the commands beyond which it is no loss but another effect.
-const MOST: f64 = 0.4;
+pub(super) const MOST: f64 = 0.4;
 
 /// Losses from which they are an effect, and the share of the commands from which fewer are as well: one of a thousand that
 /// seems to be lost is where the model is off by a little.
