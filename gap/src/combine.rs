@@ -18,7 +18,7 @@ use crate::setup::Setup;
 use crate::stop::SEVERAL;
 use grow::{Beginnings, Grown};
 pub use promise::by_promise;
-use promise::leaves_nothing;
+use promise::{leaves_nothing, most_left};
 
 /// Single effects from which combinations begin in any case.
 const BASES: usize = 2;
@@ -162,8 +162,8 @@ impl Combine<'_> {
     /// some hypothesis reaches it, one of them: then these only share out what the one does. One that is their sum need not,
     /// where it reaches the noise. Of the `others` only single effects count.
     fn explained_by_one<'f>(&self, fit: &Fit, others: impl Iterator<Item = &'f Fit>) -> bool {
-        let complete = OnceCell::new();
-        let complete = || *complete.get_or_init(|| leaves_nothing(self.setup, fit, &self.pool));
+        let left = OnceCell::new();
+        let left = || *left.get_or_init(|| most_left(self.setup, fit, &self.pool));
         let own =
             |single: &Fit| single.hypothesis.effects.iter().all(|at| fit.hypothesis.effects.contains(at));
         let exact = |single: &Fit| single.shooting_error <= INEXACT;
@@ -171,7 +171,7 @@ impl Combine<'_> {
         let mut enough = singles.filter(|single| exact(single) || (self.judge.is_exact() && own(single)));
         enough.any(|single| {
             is_sum(&single.hypothesis.effects[0], &fit.hypothesis.effects) && exact(single)
-                || !self.judge.is_worth_or(fit, single, complete)
+                || !self.judge.is_worth_or(fit, single, left)
         })
     }
 

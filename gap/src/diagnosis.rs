@@ -20,6 +20,7 @@ use crate::excitation::{self, Wishes};
 use crate::experiment::Experiment;
 use crate::explain;
 use crate::floor;
+use crate::held_out;
 use crate::hypothesis::EffectAt;
 use crate::innovation::walk;
 use crate::library;
@@ -124,18 +125,25 @@ pub(crate) fn diagnose_bound(
 ) -> Result<Diagnosis, DiagnosisError> {
     let mut raw = Raw::of(&equations, &experiment);
     // What is weighed again takes the rest of the bar: progress never goes back.
-    let weigh = |raw: &Raw, experiment: &Experiment, (from, to): (f64, f64)| {
+    let weigh = |raw: &Raw, experiment: &Experiment, held_out: Option<usize>, (from, to): (f64, f64)| {
         let progress = |done: f64, label: &str| progress(from + (to - from) * done, label);
-        weigh_all(equations.clone(), experiment, raw, title, options, checked, &progress)
+        weigh_all(equations.clone(), experiment, raw, title, (options, checked), held_out, &progress)
     };
-    let mut found = weigh(&raw, &experiment, (0.0, 0.8))?;
+    let mut found = weigh(&raw, &experiment, None, (0.0, 0.75))?;
+    // What happens on held-out time alone cannot be learned, and shows once what happens elsewhere is known.
+    let leader = found.answers.leader(&found.null);
+    let fairer = || held_out::fairer(&found.setup, leader).filter(|_| !found.setup.stop.asked());
+    let held_out = if found.reaches_noise() && found.answers.names() { fairer() } else { None };
+    if held_out.is_some() {
+        found = weigh(&raw, &experiment, held_out, (0.75, 0.8))?;
+    }
     // What was said of the readings before any model knew them is held to the models that do.
     let fits = [&found.null, found.answers.leader(&found.null)];
     let doubted = readings::contradicted(&found.setup, &raw, &experiment, &fits);
     if !doubted.is_empty() && !found.setup.stop.asked() {
         let mut believed = raw.clone();
         doubted.into_iter().for_each(|output| believed.take_back(output));
-        let again = weigh(&believed, &experiment, (0.8, 0.86))?;
+        let again = weigh(&believed, &experiment, held_out, (0.8, 0.86))?;
         // Readings that all count must not hide a model that predicted them.
         if again.reaches_noise() || !found.reaches_noise() {
             (raw, found) = (believed, again);
@@ -146,7 +154,7 @@ pub(crate) fn diagnose_bound(
     if let Some(acted) = acted.as_ref().filter(|acted| acted.by_chance) {
         // What else there is shows once it is known what acted.
         let before = found.null.shooting_error;
-        found = weigh(&raw, &acted.replaced(experiment), (0.86, 0.92))?;
+        found = weigh(&raw, &acted.replaced(experiment), held_out, (0.86, 0.92))?;
         found.answers.forgive(&found.null, before);
     }
     progress(0.92, "held-out time");
@@ -159,13 +167,13 @@ fn weigh_all(
     experiment: &Experiment,
     raw: &Raw,
     title: &str,
-    options: &Options,
-    checked: bool,
+    (options, checked): (&Options, bool),
+    held_out: Option<usize>,
     progress: &(dyn Fn(f64, &str) + Sync),
 ) -> Result<Found, DiagnosisError> {
     progress(0.0, "nominal model");
     let readings = raw.effects();
-    let (setup, null) = prepare(equations, experiment, raw, title, options)?;
+    let (setup, null) = prepare(equations, experiment, raw, title, options, held_out)?;
     if setup.stop.asked() {
         return Err(DiagnosisError::Stopped);
     }

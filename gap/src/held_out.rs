@@ -16,14 +16,15 @@ const UNLIKE: (f64, f64) = (2.0, 1.4);
 /// So many readings of an output at least tell its mean square.
 const LEAST_READINGS: usize = 50;
 
-/// Another choice of the part to hold out, where the one in use holds what surprises the nominal model most in some output: the one
-/// of the others whose parts are most alike among those that leave the surprise to be learned from.
+/// Another choice of the part to hold out, where the one in use holds what surprises a model most in some output: the one of the
+/// others whose parts are most alike among those that leave the surprise to be learned from. Of the nominal model, or of one with the
+/// effects that were found on the rest: what it lacks may have been hidden by them.
 #[must_use]
-pub(crate) fn fairer(setup: &Setup, null: &Fit) -> Option<usize> {
-    let simulator = library::simulator(setup, &null.hypothesis, Vec::new());
+pub(crate) fn fairer(setup: &Setup, fit: &Fit) -> Option<usize> {
+    let simulator = library::simulator(setup, &fit.hypothesis, fit.residuals.clone());
     let outputs = setup.output_noise.len();
     let surprise = |segments: &[Segment]| -> Vec<f64> {
-        let pass = walk_plain(&simulator, segments, &setup.noise, &null.innovation.noise, null.theta());
+        let pass = walk_plain(&simulator, segments, &setup.noise, &fit.innovation.noise, fit.theta());
         let mut sums = vec![(0.0, 0); outputs];
         for (output, error) in pass.output.iter().zip(pass.whitened()) {
             sums[*output].0 += error * error;
@@ -36,7 +37,7 @@ pub(crate) fn fairer(setup: &Setup, null: &Fit) -> Option<usize> {
         let (test, train) = (surprise(&setup.test), surprise(&setup.train));
         test.iter().zip(train).map(|(test, train)| test / train).collect()
     };
-    let most = if null.shooting_error > INEXACT { UNLIKE.0 } else { UNLIKE.1 };
+    let most = if fit.shooting_error > INEXACT { UNLIKE.0 } else { UNLIKE.1 };
     let is_alike = |ratios: &[f64]| ratios.iter().all(|ratio| *ratio <= most);
     let now = ratios(setup);
     if is_alike(&now) || now.iter().any(|ratio| ratio.is_nan()) {

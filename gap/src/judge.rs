@@ -42,6 +42,18 @@ const NEARLY_RANDOM: f64 = 10.0;
 /// Mean squared error of short windows, in noise units squared, up to which nothing is left but noise.
 const AT_FLOOR: f64 = 1.03;
 
+/// Most that any effect may promise, in a score test, beside a combination with which nothing is left: the largest of
+/// some hundred tests by chance; and the share of what the last of its effects gained that is nothing as well.
+const NOTHING: f64 = 20.0;
+const LITTLE: f64 = 0.05;
+
+/// Whether what a score test promises of any further effect (`left`) is nothing beside what the last one gained in −2 log evidence by
+/// innovations.
+#[must_use]
+pub fn is_nothing(left: f64, gained: f64) -> bool {
+    left < NOTHING.max(LITTLE * gained)
+}
+
 /// What is `explained` of a mean squared error, in units of what a form that closes `gap` and that nobody knows exactly may
 /// be off by.
 #[must_use]
@@ -124,11 +136,12 @@ impl Judge {
                 && fit.output_errors.iter().zip(&base.output_errors).any(closes))
     }
 
-    /// The same; what is too small to be told from the first effect's form counts where nothing at all is left with it
-    /// (`complete`), and only there: a form that is off leaves more than one effect takes. Another value of a parameter follows what
+    /// The same; what is too small to be told from the first effect's form counts where nothing is [`left`](is_nothing) with it, and only
+    /// there: a form that is off leaves more than one effect takes. Another value of a parameter follows what
     /// a form is off by too well to be told from it.
     #[must_use]
-    pub fn is_worth_or(&self, fit: &Fit, base: &Fit, complete: impl FnOnce() -> bool) -> bool {
+    pub fn is_worth_or(&self, fit: &Fit, base: &Fit, left: impl FnOnce() -> f64) -> bool {
+        let complete = || is_nothing(left(), base.innovation.evidence_cost - fit.innovation.evidence_cost);
         let same = || (base.shooting_error - fit.shooting_error).abs() < NUMERICAL * self.gap;
         if self.is_worth(fit, base) {
             return fit.shooting_error <= AT_FLOOR

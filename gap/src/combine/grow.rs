@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::promise::{leaves_nothing, score, score_of};
+use super::promise::{leaves_nothing, most_left, score, score_of};
 use super::{BASES, Candidate, Combine, TWIN, overlap, same};
 use crate::hypothesis::{EffectAt, Hypothesis};
 use crate::judge::{DECISIVE, EVEN, Judge, WORTH};
@@ -103,9 +103,9 @@ impl<'a> Combine<'a> {
                     continue;
                 }
             }
-            let complete = || leaves_nothing(self.setup, &next, &self.pool);
+            let left = || most_left(self.setup, &next, &self.pool);
             let judge = &self.judge;
-            if judge.is_worth_or(&next, &base, complete) && judge.is_worth(&next, self.null) {
+            if judge.is_worth_or(&next, &base, left) && judge.is_worth(&next, self.null) {
                 (sure, rejected) = (next.clone(), None);
             } else {
                 rejected = rejected.or_else(|| Some(next.clone()));

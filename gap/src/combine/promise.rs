@@ -5,13 +5,10 @@ use rayon::prelude::*;
 
 use super::{Candidate, overlap};
 use crate::hypothesis::EffectAt;
+use crate::judge::is_nothing;
 use crate::search::Fit;
 use crate::setup::Setup;
 use crate::signature::{self, Nuisance};
-
-/// Most that any effect may promise, in a score test, beside a combination with which nothing is left: the largest of
-/// some hundred tests by chance.
-const NOTHING: f64 = 20.0;
 
 /// Effects, each with its [signature](signature::columns), by what a score test of the base's innovations promises of them, the
 /// most promising first.
@@ -35,11 +32,16 @@ pub fn by_promise(
 
 /// Whether no effect of the library promises anything beside a fit.
 pub(super) fn leaves_nothing(setup: &Setup, fit: &Fit, pool: &[Candidate<'_>]) -> bool {
+    is_nothing(most_left(setup, fit, pool), 0.0)
+}
+
+/// What the effect that promises most beside a fit promises in a score test.
+pub(super) fn most_left(setup: &Setup, fit: &Fit, pool: &[Candidate<'_>]) -> f64 {
     let setup = &setup.with_lines_of(&fit.innovation.pass);
     let nuisance = Nuisance::new(fit);
     let others =
         pool.par_iter().filter(|other| !fit.hypothesis.effects.iter().any(|own| overlap(own, other.at)));
-    others.map(|other| score(setup, fit, &nuisance, other.at)).reduce(|| 0.0, f64::max) < NOTHING
+    others.map(|other| score(setup, fit, &nuisance, other.at)).reduce(|| 0.0, f64::max)
 }
 
 /// How much of the base's squared innovations an effect's signature takes, at most: a score test.

@@ -3,7 +3,7 @@
 use parallax_model::effect::Effect;
 use rayon::prelude::*;
 
-use super::promise::leaves_nothing;
+use super::promise::most_left;
 use super::{Combine, same};
 use crate::library;
 use crate::search::{Fit, fit_hypothesis, fit_part};
@@ -42,8 +42,8 @@ impl Combine<'_> {
             let shorter: Vec<Fit> =
                 doubtful.into_par_iter().map(|left_out| self.without(&fit, left_out)).collect();
             let best = shorter.into_iter().min_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
-            let complete = || leaves_nothing(self.setup, &fit, &self.pool);
-            match best.filter(|best| !judge.is_worth_or(&fit, best, complete)) {
+            let left = || most_left(self.setup, &fit, &self.pool);
+            match best.filter(|best| !judge.is_worth_or(&fit, best, left)) {
                 Some(simpler) => fit = simpler,
                 None => break,
             }
@@ -67,8 +67,8 @@ impl Combine<'_> {
                     continue;
                 }
                 let other = fit_hypothesis(setup, self.null, library::hypothesis(setup, &effects));
-                let complete = || leaves_nothing(setup, &fit, &self.pool);
-                if !judge.is_worth_or(&fit, &other, complete) || judge.is_spare(&fit, k, &other) {
+                let left = || most_left(setup, &fit, &self.pool);
+                if !judge.is_worth_or(&fit, &other, left) || judge.is_spare(&fit, k, &other) {
                     fit = other;
                     break;
                 }

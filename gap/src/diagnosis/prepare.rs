@@ -16,13 +16,15 @@ use crate::stop::Stop;
 /// How often the nominal model is fitted again with each state's share of the process noise that its innovations tell.
 const NOISE_ROUNDS: usize = 2;
 
-/// Looks at the data, and fits the nominal model: the null hypothesis.
+/// Looks at the data, and fits the nominal model: the null hypothesis; with a given part of the log `held_out`, or one that surprises
+/// that model no more than the rest.
 pub(crate) fn prepare(
     equations: Equations,
     experiment: &Experiment,
     raw: &Raw,
     title: &str,
     options: &Options,
+    held_out: Option<usize>,
 ) -> Result<(Setup, Fit), DiagnosisError> {
     let system = equations.system();
     let (states, calibrated) =
@@ -44,6 +46,9 @@ pub(crate) fn prepare(
     if setup.output_range.iter().all(|range| range.width() == 0.0) {
         return Err(DiagnosisError::Still { title: title.into() });
     }
+    if let Some(which) = held_out {
+        setup.hold_out(which);
+    }
     quantify::refine_step(&mut setup);
     setup.stop = Stop::when(options.stop.clone());
     if setup.train.is_empty() || setup.test.is_empty() {
@@ -60,7 +65,8 @@ pub(crate) fn prepare(
         setup.share_noise(&walked, &noise);
     }
     let mut null = search::null(&setup);
-    if let Some(other) = held_out::fairer(&setup, &null) {
+    let fairer = || held_out::fairer(&setup, &null);
+    if let Some(other) = if held_out.is_none() { fairer() } else { None } {
         setup.hold_out(other);
         null = search::null(&setup);
     }

@@ -49,7 +49,7 @@ pub fn propose(
     wishes: &Wishes,
 ) -> Result<Design, ProposeError> {
     let raw = Raw::of(&equations, &experiment);
-    let (setup, null) = prepare(equations, &experiment, &raw, title, options)?;
+    let (setup, null) = prepare(equations, &experiment, &raw, title, options, None)?;
     let choices: Vec<Vec<Vec<EffectAt>>> =
         effects.iter().map(|label| named(&setup, label)).collect::<Result<_, _>>()?;
     let mut fits = Vec::new();
