@@ -27,6 +27,8 @@ impl View<'_> {
         let slopes = self.slopes();
         let span = Span::new(self, &slopes);
         let truth = span.beyond(&self.rest);
+        // Beside another cause the fit may have moved that one far to make up for the one that it lacks.
+        let real = (!self.causes.is_empty()).then(|| self.real(lacking));
         let enough = |cost: f64| cost <= (1.0 - ALIKE * ALIKE) * self.cost;
         for (i, (kind, place)) in table(case.system).into_iter().enumerate() {
             let name = label(case.system, kind, place);
@@ -60,10 +62,27 @@ impl View<'_> {
                 }
             }
             let Some((along, cause)) = best else { continue };
-            if along >= ALIKE || ((same || along >= FITTED) && enough(self.with(cause, enough).cost)) {
+            let alike =
+                along >= ALIKE || ((same || along >= FITTED) && enough(self.with(cause, enough).cost));
+            let stands_in = |real: &View| {
+                real.in_its_place(cause).is_some_and(|cause| enough(real.with(cause, enough).cost))
+            };
+            if alike || real.as_ref().is_some_and(stands_in) {
                 labels.push(name);
             }
         }
+    }
+
+    /// The cause as large as what this machine lacks, where it does the same to it but for its size.
+    fn in_its_place(&self, mut cause: Cause) -> Option<Cause> {
+        let all = |values: &Values| {
+            DVector::from_iterator(values.iter().map(|v| v.len()).sum(), values.iter().flatten().copied())
+        };
+        let (lacks, does) = (all(&self.rest), all(&self.change(&cause)));
+        let along = lacks.dot(&does) / (lacks.norm() * does.norm());
+        let along = if cause.kind.two_sided() { along.abs() } else { along };
+        cause.p[0] *= lacks.dot(&does) / does.norm_squared();
+        (along >= ALIKE).then_some(cause)
     }
 
     /// Whether it is another value of a constant to which the true one adds, or adds to a constant whose other value is true: an added
@@ -78,7 +97,7 @@ impl View<'_> {
         if size <= 0.0 && !kind.two_sided() {
             return false;
         }
-        enough(self.at_the_truth(Cause { kind, place, p: [size, 0.0, 0.0, 0.0] }))
+        enough(self.real(lacking).left_with(Cause { kind, place, p: [size, 0.0, 0.0, 0.0] }))
     }
 
     /// Whether it is the true one at the other end of a machine with one command and one sensor, whose clocks or times are

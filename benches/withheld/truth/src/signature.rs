@@ -177,12 +177,31 @@ impl<'a> View<'a> {
         view
     }
 
-    /// What a machine with a further cause, and the real parameters, leaves of the sensors' values.
-    pub(crate) fn at_the_truth(&self, cause: Cause) -> f64 {
+    /// The real machine, but for the cause that this one lacks.
+    pub(crate) fn real(&self, lacking: &Cause) -> Self {
+        let others = self
+            .case
+            .causes
+            .iter()
+            .filter(|cause| (cause.kind, cause.place) != (lacking.kind, lacking.place));
+        let mut view = Self {
+            target: self.target.clone(),
+            plain: self.plain.clone(),
+            parameters: self.run.parameters.clone(),
+            starts: (0..self.starts.len()).map(|segment| self.run.states[segment * SEGMENT]).collect(),
+            causes: others.copied().collect(),
+            shown: Vec::new(),
+            rest: Vec::new(),
+            ..*self
+        };
+        view.settle(|_| true);
+        view
+    }
+
+    /// What the same machine with a further cause leaves of the sensors' values.
+    pub(crate) fn left_with(&self, cause: Cause) -> f64 {
         let causes: Vec<Cause> = self.causes.iter().copied().chain([cause]).collect();
-        let starts: Vec<State> =
-            (0..self.starts.len()).map(|segment| self.run.states[segment * SEGMENT]).collect();
-        square(&minus(&self.target, &self.show(&self.run.parameters, &starts, &causes)))
+        square(&minus(&self.target, &self.show(&self.parameters, &self.starts, &causes)))
     }
 
     fn settle(&mut self, enough: impl Fn(f64) -> bool) {

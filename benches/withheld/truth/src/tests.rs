@@ -242,6 +242,20 @@ fn another_parameter_joins_what_looks_like_it() {
     assert!(class.contains(&"viscous@joint:shoulder".to_owned()), "{class:?}");
 }
 
+/// What acts behind a limit acts as a force does, however far another limit would go to make up for either.
+#[test]
+fn a_force_beside_a_limit_is_an_offset_behind_it() {
+    let clipped = cause(Kind::Saturation, Place::Input(0), [-0.562, 1.12, 0.0, 0.0]);
+    let pushed = cause(Kind::ConstantForce, Place::Joint(0), [-0.11, 0.0, 0.0, 0.0]);
+    let case = plain(ALL[0], vec![clipped, pushed], 20.0, 11382151693535357592);
+    let (_, class) = judge(&case, &case.run());
+    assert_eq!(class[..2], ["saturation@input:u", "constant_force@joint:shaft"]);
+    for other in ["wind@joint:shaft", "offset@input:u"] {
+        assert!(class.contains(&other.to_owned()), "{class:?}");
+    }
+    assert!(!class.contains(&"coulomb@joint:shaft".to_owned()), "{class:?}");
+}
+
 /// An inertia that is added to another one is another inertia, however much the motor constant, which may not go on, would like
 /// to stand in for either.
 #[test]
