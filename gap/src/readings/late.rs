@@ -41,6 +41,11 @@ const STEPS: usize = 8;
 /// Ratio of a spread to that of losses up to which it is one of losses.
 const AS_LOST: f64 = 1.3;
 
+/// Part of the log, and the share of what its commands explain of all, beyond which times that scatter are what befell the machine once: a
+/// gust kicks it for a while.
+const ONCE: f64 = 0.125;
+const MOST_OF_ONCE: f64 = 0.8;
+
 /// Messages do not overtake each other: the least time between two (s).
 const APART: f64 = 1e-9;
 
@@ -80,6 +85,19 @@ impl Look {
     fn is_of_changes(&self, most: f64) -> bool {
         let own = self.late.gain - self.all.exchanged().late(most).gain;
         own >= TOLD && self.all.go_with_changes(&self.late, most)
+    }
+
+    /// Whether the commands of one part of the log, between these times (s), say most of it.
+    fn is_of_once(&self, recorded: &Held, (from, to): (f64, f64)) -> bool {
+        let of = |k: usize| (recorded.times[self.commands[k]], self.explained[k].max(0.0));
+        let all: Vec<(f64, f64)> = (0..self.commands.len()).map(of).collect();
+        let length = ONCE * (to - from);
+        let within = |begin: f64| {
+            let part = all.iter().filter(|(time, _)| (begin..begin + length).contains(time));
+            part.map(|(_, explained)| explained).sum::<f64>()
+        };
+        let most = all.iter().map(|(time, _)| within(*time)).fold(0.0, f64::max);
+        most > MOST_OF_ONCE * all.iter().map(|(_, explained)| explained).sum::<f64>()
     }
 
     /// The commands that say most of it.
@@ -152,7 +170,8 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
     let told = -0.5 * (cost - base.innovation.evidence_cost);
     let stamps = |commands: &[usize]| commands.iter().map(|k| recorded.times[*k]).collect::<Vec<f64>>();
     let (telling, all) = (stamps(&last.telling()), stamps(&last.commands));
-    if told < TOLD || !last.is_of_changes(most) || come_at_rest(setup, base, &telling, &all) {
+    let once = last.is_of_once(recorded, setup.experiment.span());
+    if told < TOLD || once || !last.is_of_changes(most) || come_at_rest(setup, base, &telling, &all) {
         return None;
     }
     let mut acted = clean.experiment.inputs[input].clone();
