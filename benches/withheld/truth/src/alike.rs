@@ -101,13 +101,17 @@ impl View<'_> {
     }
 
     /// Whether it is the true one at the other end of a machine with one command and one sensor, whose clocks or times are
-    /// off: the laws of motion are the same at all times, so that nobody can tell the two apart, however large they are.
+    /// off: the laws of motion are the same at all times, so that nobody can tell the two apart, however large they are; nor, of a
+    /// linear machine, which of the two is sluggish.
     /// A command of this generator never acts before it is sent, as one on a slow clock seems to.
     fn shifted(&self, lacking: &Cause, kind: Kind) -> bool {
         let system = self.case.system;
         let one = system.inputs.len() == 1 && system.outputs.len() == 1;
         let (name, other) = (lacking.kind.names().0, kind.names().0);
-        one && name == other && ["delay", "clock_skew"].contains(&name)
+        let filters = |name: &str| ["lag", "sensor_lag"].contains(&name);
+        // A pair's other cause need not be linear.
+        let filtered = system.linear && self.causes.is_empty() && filters(name) && filters(other);
+        one && (filtered || name == other && ["delay", "clock_skew"].contains(&name))
     }
 }
 

@@ -87,6 +87,8 @@ pub(crate) struct System {
     pub(crate) command_rate: f64,
     pub(crate) sample_rate: f64,
     pub(crate) control: Control,
+    /// Whether its laws of motion are linear: what filters its command filters its reading.
+    pub(crate) linear: bool,
     pub(crate) equations: &'static str,
     pub(crate) absorbed: &'static [&'static str],
     pub(crate) body: fn(&[f64], &State, &[f64; N], &[f64; N]) -> Forces,
@@ -210,6 +212,7 @@ static PENDULUM: System = System {
     command_rate: 50.0,
     sample_rate: 100.0,
     control: Control::Open,
+    linear: false,
     equations: r#"[inputs]
 u = { signal = "voltage" }
 [state]
@@ -240,6 +243,7 @@ static SERVO: System = System {
     command_rate: 50.0,
     sample_rate: 100.0,
     control: Control::Open,
+    linear: false,
     equations: r#"[inputs]
 goal = { signal = "goal" }
 [let]
@@ -277,6 +281,7 @@ static ARM: System = System {
     command_rate: 50.0,
     sample_rate: 100.0,
     control: Control::Open,
+    linear: false,
     equations: r#"[inputs]
 tau1 = { signal = "torque1" }
 tau2 = { signal = "torque2" }
@@ -336,6 +341,7 @@ static QUADROTOR: System = System {
     command_rate: 50.0,
     sample_rate: 100.0,
     control: Control::Hover,
+    linear: false,
     equations: r#"[inputs]
 pwm = { signal = "pwm" }
 roll_ref = { signal = "roll_ref" }
@@ -401,6 +407,7 @@ static AXIS: System = System {
     command_rate: 200.0,
     sample_rate: 200.0,
     control: Control::Axis,
+    linear: true,
     equations: r#"[inputs]
 u = { signal = "force" }
 [state]

@@ -242,6 +242,20 @@ fn another_parameter_joins_what_looks_like_it() {
     assert!(class.contains(&"viscous@joint:shoulder".to_owned()), "{class:?}");
 }
 
+#[test]
+fn of_a_linear_machine_nobody_tells_which_end_is_sluggish() {
+    let late = cause(Kind::SensorLagSecond, Place::Output(0), [0.0477, 0.443, 0.0, 0.0]);
+    let slow = cause(Kind::Lag, Place::Input(0), [0.0786, 0.0, 0.0, 0.0]);
+    for (cause, seed, other) in [
+        (late, 10292741319297635324, "lag@input:u"),
+        (slow, 10313817977960223181, "sensor_lag@output:position"),
+    ] {
+        let case = plain(ALL[4], vec![cause], 20.0, seed);
+        let (_, class) = judge(&case, &case.run());
+        assert!(class.contains(&other.to_owned()), "{class:?}");
+    }
+}
+
 /// What acts behind a limit acts as a force does, however far another limit would go to make up for either.
 #[test]
 fn a_force_beside_a_limit_is_an_offset_behind_it() {
