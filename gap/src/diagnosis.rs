@@ -129,13 +129,20 @@ pub(crate) fn diagnose_bound(
         let progress = |done: f64, label: &str| progress(from + (to - from) * done, label);
         weigh_all(equations.clone(), experiment, raw, title, (options, checked), held_out, &progress)
     };
+    // Who is stopped while it is weighed again has what was found before.
+    let again = |raw: &Raw, experiment: &Experiment, held_out: Option<usize>, bar: (f64, f64)| match weigh(
+        raw, experiment, held_out, bar,
+    ) {
+        Err(DiagnosisError::Stopped) => Ok(None),
+        found => found.map(Some),
+    };
     let mut found = weigh(&raw, &experiment, None, (0.0, 0.75))?;
     // What happens on held-out time alone cannot be learned, and shows once what happens elsewhere is known.
     let leader = found.answers.leader(&found.null);
     let fairer = || held_out::fairer(&found.setup, leader).filter(|_| !found.setup.stop.asked());
     let held_out = if found.reaches_noise() && found.answers.names() { fairer() } else { None };
     if held_out.is_some() {
-        found = weigh(&raw, &experiment, held_out, (0.75, 0.8))?;
+        found = again(&raw, &experiment, held_out, (0.75, 0.8))?.unwrap_or(found);
     }
     // What was said of the readings before any model knew them is held to the models that do.
     let fits = [&found.null, found.answers.leader(&found.null)];
@@ -143,19 +150,26 @@ pub(crate) fn diagnose_bound(
     if !doubted.is_empty() && !found.setup.stop.asked() {
         let mut believed = raw.clone();
         doubted.into_iter().for_each(|output| believed.take_back(output));
-        let again = weigh(&believed, &experiment, held_out, (0.8, 0.86))?;
         // Readings that all count must not hide a model that predicted them.
-        if again.reaches_noise() || !found.reaches_noise() {
+        let hides = |again: &Found| !again.reaches_noise() && found.reaches_noise();
+        if let Some(again) =
+            again(&believed, &experiment, held_out, (0.8, 0.86))?.filter(|again| !hides(again))
+        {
             (raw, found) = (believed, again);
         }
     }
     progress(0.86, "lost and late commands");
-    let acted = readings::acted(&found.setup, &experiment, &found.null, &found.answers, options);
-    if let Some(acted) = acted.as_ref().filter(|acted| acted.by_chance) {
+    let mut acted = readings::acted(&found.setup, &experiment, &found.null, &found.answers, options);
+    if let Some(by_chance) = acted.as_ref().filter(|acted| acted.by_chance) {
         // What else there is shows once it is known what acted.
         let before = found.null.shooting_error;
-        found = weigh(&raw, &acted.replaced(experiment), held_out, (0.86, 0.92))?;
-        found.answers.forgive(&found.null, before);
+        match again(&raw, &by_chance.replaced(experiment), held_out, (0.86, 0.92))? {
+            Some(beside) => {
+                found = beside;
+                found.answers.forgive(&found.null, before);
+            }
+            None => acted = None,
+        }
     }
     progress(0.92, "held-out time");
     Ok(conclude(title, options, found, acted))
