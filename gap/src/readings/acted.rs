@@ -112,10 +112,11 @@ pub(crate) fn acted(
                 let sticks = base.hypothesis.effects.iter().any(|at| at.effect.is_dry());
                 let shows = base.innovation.evidence_cost - acted.cost > EXPLAINED;
                 let exact = base.shooting_error < AT_FLOOR && effect == Effect::Drops && (shows || !sticks);
+                let is_mean = effect == Effect::Jitter && is_only(base, &mean);
                 let form = base.shooting_error <= INEXACT
                     && !exact
+                    && !is_mean
                     && !base.hypothesis.effects.is_empty()
-                    && !(effect == Effect::Jitter && is_only(base, &mean))
                     && !judge.is_material_from(base.shooting_error, acted.error);
                 let margin = if base.shooting_error <= INEXACT { DECISIVE.0 } else { DECISIVE.1 };
                 acted.cost < best - margin && !form
