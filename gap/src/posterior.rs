@@ -124,6 +124,7 @@ impl Posterior {
             .map(|(_, probability, closed)| (best.hypothesis.effects.clone(), *probability, *closed));
         (leader.class, leader.members) = (vec![label], members.into_iter().collect());
         (leader.fit, leader.alike) = (best, Vec::new());
+        self.residual_on_leader = None;
         true
     }
 

@@ -65,8 +65,8 @@ pub(crate) fn prepare(
         setup.share_noise(&walked, &noise);
     }
     let mut null = search::null(&setup);
-    let fairer = || held_out::fairer(&setup, &null);
-    if let Some(other) = if held_out.is_none() { fairer() } else { None } {
+    let fairer = held_out.is_none().then(|| held_out::fairer(&setup, &null)).flatten();
+    if let Some(other) = fairer {
         setup.hold_out(other);
         null = search::null(&setup);
     }

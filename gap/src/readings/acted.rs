@@ -91,8 +91,12 @@ pub(crate) fn acted(
     let tried = |(input, effect, under): (usize, Effect, Way)| {
         let place = Place::new(PlaceKind::Input, system.inputs[input].name.clone());
         let at = EffectAt { effect, place: place.clone() };
-        let stated = system.effects.iter().any(|e| e.name == effect.name() && e.place == place.to_string());
-        if stated || !options.allows(&at) || setup.stop.asked() {
+        let open = |at: &EffectAt| {
+            let mut stated = system.effects.iter();
+            options.allows(at)
+                && !stated.any(|e| e.name == at.effect.name() && e.place == at.place.to_string())
+        };
+        if !open(&at) || setup.stop.asked() {
             return None;
         }
         // Under the nominal model first: what they leave for others to explain is looked for afterwards. A leader stands in for
@@ -103,8 +107,9 @@ pub(crate) fn acted(
         let mean = EffectAt { effect: Effect::Delay, place: place.clone() };
         let late = alike(answers).find(|fit| effect == Effect::Jitter && is_only(fit, &mean));
         let mut bases = plain.into_iter().chain(part_of(answers, leader)).chain(named).chain(late);
+        let lost = EffectAt { effect: Effect::Drops, place: place.clone() };
         bases.find_map(|base| {
-            under(setup, base, input, &place).filter(|acted| {
+            let mut acted = under(setup, base, input, &place).filter(|acted| {
                 // What is less than a leading effect's form may be off by is its form; where that leaves nothing, a few lost
                 // commands may still be told, times that scatter a little are of how commands are held between their stamps. A
                 // machine that sticks forgets what it was told whatever became of it: beside dry friction they must show
@@ -120,7 +125,14 @@ pub(crate) fn acted(
                     && !judge.is_material_from(base.shooting_error, acted.error);
                 let margin = if base.shooting_error <= INEXACT { DECISIVE.0 } else { DECISIVE.1 };
                 acted.cost < best - margin && !form
-            })
+            })?;
+            if effect == Effect::Jitter
+                && open(&lost)
+                && let Some(drops) = late::as_lost(setup, base, &acted)
+            {
+                acted.effect = drops;
+            }
+            Some(acted)
         })
     };
     // Averaged commands are no longer those that were sent.

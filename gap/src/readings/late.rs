@@ -10,7 +10,7 @@ use super::acted::{Acted, TOLD, refitted};
 use super::kicks::{Kicks, Late};
 use super::scatter::{self, MOST_PERIODS};
 use super::still::come_at_rest;
-use super::{found, lost};
+use super::{ReadingEffect, found, lost};
 use crate::experiment::Held;
 use crate::filter::Noise;
 use crate::hypothesis::{EffectAt, Slot};
@@ -175,21 +175,30 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
         return None;
     }
     let mut acted = clean.experiment.inputs[input].clone();
-    let late: f64 = last.commands.iter().map(|k| acted.times[*k] - recorded.times[*k]).sum();
-    let count = last.commands.len() as f64;
-    let effect = if let Some(rate) = lost_share(delay + late / count, last.late.spread, period) {
-        // Their mean is of the losses, and nothing beside them.
-        acted.times.iter_mut().for_each(|time| *time += delay);
-        let std = (rate * (1.0 - rate) / count).sqrt();
-        let value = Value { value: rate, std, unit: String::new() };
-        let density = scatter::density_at_input(setup, base, input, (f64::INFINITY, rate.sqrt()));
-        found("drops", place.to_string(), ("rate", value), -2.0 * told, true, density.unwrap_or_default())
-    } else {
-        let value = Value { value: last.late.spread, std: last.late.std, unit: "s".into() };
-        let density = scatter::density_at_input(setup, base, input, (unit, last.late.spread / unit));
-        found("jitter", place.to_string(), ("spread", value), -2.0 * told, true, density.unwrap_or_default())
-    };
+    // What all are late by is of their times, and nothing beside them.
+    acted.times.iter_mut().for_each(|time| *time += delay);
+    let value = Value { value: last.late.spread, std: last.late.std, unit: "s".into() };
+    let density = scatter::density_at_input(setup, base, input, (unit, last.late.spread / unit));
+    let effect =
+        found("jitter", place.to_string(), ("spread", value), -2.0 * told, true, density.unwrap_or_default());
     Some(Acted { input, recorded: recorded.clone(), acted, effect, by_chance: true, cost, error })
+}
+
+/// Late commands as lost ones, where that is what their times say.
+pub(super) fn as_lost(setup: &Setup, base: &Fit, late: &Acted) -> Option<ReadingEffect> {
+    let sent = &late.recorded;
+    let mut between: Vec<f64> = sent.times.windows(2).map(|t| t[1] - t[0]).collect();
+    let changes: Vec<usize> =
+        (1..sent.values.len()).filter(|&k| sent.values[k] != sent.values[k - 1]).collect();
+    let count = changes.len() as f64;
+    let mean = changes.iter().map(|&k| late.acted.times[k] - sent.times[k]).sum::<f64>() / count;
+    let spread = late.effect.parameters.get("spread")?.value;
+    let rate = lost_share(mean, spread, median(&mut between))?;
+    let std = (rate * (1.0 - rate) / count).sqrt();
+    let value = Value { value: rate, std, unit: String::new() };
+    let density = scatter::density_at_input(setup, base, late.input, (f64::INFINITY, rate.sqrt()));
+    let (place, evidence) = (late.effect.place.clone(), late.effect.evidence);
+    Some(found("drops", place, ("rate", value), evidence, true, density.unwrap_or_default()))
 }
 
 /// The share of commands that is lost, where that is what their times say: one that is lost is late by a period, and the others are not

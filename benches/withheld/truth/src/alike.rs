@@ -28,14 +28,15 @@ impl View<'_> {
         let span = Span::new(self, &slopes);
         let truth = span.beyond(&self.rest);
         // Beside another cause the fit may have moved that one far to make up for the one that it lacks.
-        let real = (!self.causes.is_empty()).then(|| self.real(lacking));
+        let real = self.real(lacking);
+        let beside_another = !self.causes.is_empty();
         let enough = |cost: f64| cost <= (1.0 - ALIKE * ALIKE) * self.cost;
         for (i, (kind, place)) in table(case.system).into_iter().enumerate() {
             let name = label(case.system, kind, place);
             if kind.statistical() || labels.contains(&name) {
                 continue;
             }
-            if self.shifted(lacking, kind) || self.is_its_sum(lacking, kind, place, enough) {
+            if self.shifted(lacking, kind) || real.is_its_sum(lacking, kind, place, enough) {
                 labels.push(name);
                 continue;
             }
@@ -64,10 +65,9 @@ impl View<'_> {
             let Some((along, cause)) = best else { continue };
             let alike =
                 along >= ALIKE || ((same || along >= FITTED) && enough(self.with(cause, enough).cost));
-            let stands_in = |real: &View| {
-                real.in_its_place(cause).is_some_and(|cause| enough(real.with(cause, enough).cost))
-            };
-            if alike || real.as_ref().is_some_and(stands_in) {
+            let stands_in =
+                || real.in_its_place(cause).is_some_and(|cause| enough(real.with(cause, enough).cost));
+            if alike || beside_another && stands_in() {
                 labels.push(name);
             }
         }
@@ -85,8 +85,8 @@ impl View<'_> {
         (along >= ALIKE).then_some(cause)
     }
 
-    /// Whether it is another value of a constant to which the true one adds, or adds to a constant whose other value is true: an added
-    /// inertia is another inertia, and the same machine.
+    /// Of the real machine but for the true one: whether it is another value of a constant to which that adds, or adds to a constant
+    /// whose other value is true. An added inertia is another inertia, and the same machine.
     fn is_its_sum(&self, lacking: &Cause, kind: Kind, place: Place, enough: impl Fn(f64) -> bool) -> bool {
         let real = &self.run.parameters;
         let size = match (lacking.place, place) {
@@ -97,7 +97,7 @@ impl View<'_> {
         if size <= 0.0 && !kind.two_sided() {
             return false;
         }
-        enough(self.real(lacking).left_with(Cause { kind, place, p: [size, 0.0, 0.0, 0.0] }))
+        enough(self.left_with(Cause { kind, place, p: [size, 0.0, 0.0, 0.0] }))
     }
 
     /// Whether it is the true one at the other end of a machine with one command and one sensor, whose clocks or times are

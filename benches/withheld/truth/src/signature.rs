@@ -108,6 +108,11 @@ fn moving(case: &Case) -> Vec<Cause> {
     case.causes.iter().filter(moves).copied().collect()
 }
 
+/// The real state at the start of each segment.
+fn real_starts(run: &Run) -> Vec<State> {
+    (0..run.states.len() / SEGMENT).map(|segment| run.states[segment * SEGMENT]).collect()
+}
+
 /// Twice the log-likelihood ratio of causes that change how readings scatter.
 fn scatter(case: &Case, run: &Run) -> f64 {
     case.causes.iter().map(|c| likelihood(case, run, c)).sum()
@@ -150,7 +155,7 @@ impl<'a> View<'a> {
             target: Vec::new(),
             plain: case.acting(&run.commands, run.states.len(), &[]),
             parameters: run.parameters.clone(),
-            starts: (0..run.states.len() / SEGMENT).map(|segment| run.states[segment * SEGMENT]).collect(),
+            starts: real_starts(run),
             causes,
             shown: Vec::new(),
             rest: Vec::new(),
@@ -163,37 +168,23 @@ impl<'a> View<'a> {
 
     /// The same machine with a further cause, fitted until little enough is left.
     pub(crate) fn with(&self, cause: Cause, enough: impl Fn(f64) -> bool) -> Self {
-        let mut view = Self {
-            target: self.target.clone(),
-            plain: self.plain.clone(),
-            parameters: self.parameters.clone(),
-            starts: self.starts.clone(),
-            causes: self.causes.iter().chain([&cause]).copied().collect(),
-            shown: Vec::new(),
-            rest: Vec::new(),
-            ..*self
-        };
+        let causes = self.causes.iter().copied().chain([cause]).collect();
+        let mut view = self.moved(self.parameters.clone(), self.starts.clone(), causes);
         view.settle(enough);
         view
     }
 
+    /// Another machine that is held to the same sensors' values.
+    fn moved(&self, parameters: Vec<f64>, starts: Vec<State>, causes: Vec<Cause>) -> Self {
+        let (target, plain) = (self.target.clone(), self.plain.clone());
+        Self { target, plain, parameters, starts, causes, shown: Vec::new(), rest: Vec::new(), ..*self }
+    }
+
     /// The real machine, but for the cause that this one lacks.
     pub(crate) fn real(&self, lacking: &Cause) -> Self {
-        let others = self
-            .case
-            .causes
-            .iter()
-            .filter(|cause| (cause.kind, cause.place) != (lacking.kind, lacking.place));
-        let mut view = Self {
-            target: self.target.clone(),
-            plain: self.plain.clone(),
-            parameters: self.run.parameters.clone(),
-            starts: (0..self.starts.len()).map(|segment| self.run.states[segment * SEGMENT]).collect(),
-            causes: others.copied().collect(),
-            shown: Vec::new(),
-            rest: Vec::new(),
-            ..*self
-        };
+        let mut others = moving(self.case);
+        others.retain(|cause| (cause.kind, cause.place) != (lacking.kind, lacking.place));
+        let mut view = self.moved(self.run.parameters.clone(), real_starts(self.run), others);
         view.settle(|_| true);
         view
     }
