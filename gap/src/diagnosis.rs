@@ -5,6 +5,7 @@ mod claims;
 mod error;
 mod prepare;
 mod screen;
+mod weigh;
 
 use parallax_model::effect::Effect;
 use parallax_model::system::{EffectEntry, Equations, System};
@@ -14,13 +15,10 @@ use rayon::prelude::*;
 use crate::answers;
 use crate::bind::bind_all;
 use crate::calibration;
-use crate::combine;
-use crate::detect;
 use crate::excitation::{self, Wishes};
 use crate::experiment::Experiment;
 use crate::explain;
 use crate::floor;
-use crate::held_out;
 use crate::hypothesis::EffectAt;
 use crate::innovation::walk;
 use crate::library;
@@ -29,20 +27,16 @@ pub use crate::options::Options;
 use crate::pieces;
 use crate::posterior::{self, Answer, Left};
 use crate::quantify::{self, Row};
-use crate::readings::{self, Acted, Raw, ReadingEffect};
-use crate::report::{
-    Absorbed, Confusable, FittedEffect, Gap, NotTestable, Overlay, Report, Split, Unexplained,
-};
+use crate::readings::{self, Acted, ReadingEffect};
+use crate::report::{Confusable, FittedEffect, Gap, NotTestable, Overlay, Report, Split, Unexplained};
 use crate::rows::Rows;
 use crate::search::{self, Fit, INEXACT};
 use crate::setup::Setup;
 use crate::shapley;
-use crate::signature::Nuisance;
-use crate::unknown;
 use causes::Models;
 pub use error::DiagnosisError;
 pub(crate) use prepare::prepare;
-use screen::{chosen, limits_of_its_sensor, outgrown, screen};
+use weigh::{Found, Rounds};
 
 /// What comes out: the report, what its plots need, and what a corrected system needs.
 #[derive(Clone, Debug)]
@@ -123,133 +117,10 @@ pub(crate) fn diagnose_bound(
     checked: bool,
     progress: &(dyn Fn(f64, &str) + Sync),
 ) -> Result<Diagnosis, DiagnosisError> {
-    let mut raw = Raw::of(&equations, &experiment);
-    // What is weighed again takes the rest of the bar: progress never goes back.
-    let weigh = |raw: &Raw, experiment: &Experiment, held_out: Option<usize>, (from, to): (f64, f64)| {
-        let progress = |done: f64, label: &str| progress(from + (to - from) * done, label);
-        weigh_all(equations.clone(), experiment, raw, title, (options, checked), held_out, &progress)
-    };
-    // Who is stopped while it is weighed again has what was found before.
-    let again = |raw: &Raw, experiment: &Experiment, held_out: Option<usize>, bar: (f64, f64)| match weigh(
-        raw, experiment, held_out, bar,
-    ) {
-        Err(DiagnosisError::Stopped) => Ok(None),
-        found => found.map(Some),
-    };
-    let mut found = weigh(&raw, &experiment, None, (0.0, 0.75))?;
-    // What happens on held-out time alone cannot be learned, and shows once what happens elsewhere is known.
-    let leader = found.answers.leader(&found.null);
-    let fairer = || held_out::fairer(&found.setup, leader).filter(|_| !found.setup.stop.asked());
-    let held_out = if found.reaches_noise() && found.answers.names() { fairer() } else { None };
-    if held_out.is_some() {
-        found = again(&raw, &experiment, held_out, (0.75, 0.8))?.unwrap_or(found);
-    }
-    // What was said of the readings before any model knew them is held to the models that do.
-    let fits = [&found.null, found.answers.leader(&found.null)];
-    let doubted = readings::contradicted(&found.setup, &raw, &experiment, &fits);
-    if !doubted.is_empty() && !found.setup.stop.asked() {
-        let mut believed = raw.clone();
-        doubted.into_iter().for_each(|output| believed.take_back(output));
-        // Readings that all count must not hide a model that predicted them.
-        let hides = |again: &Found| !again.reaches_noise() && found.reaches_noise();
-        if let Some(again) =
-            again(&believed, &experiment, held_out, (0.8, 0.86))?.filter(|again| !hides(again))
-        {
-            (raw, found) = (believed, again);
-        }
-    }
-    progress(0.86, "lost and late commands");
-    let mut acted = readings::acted(&found.setup, &experiment, &found.null, &found.answers, options);
-    if let Some(by_chance) = acted.as_ref().filter(|acted| acted.by_chance) {
-        // What else there is shows once it is known what acted.
-        let before = found.null.shooting_error;
-        match again(&raw, &by_chance.replaced(experiment), held_out, (0.86, 0.92))? {
-            Some(beside) => {
-                found = beside;
-                found.answers.forgive(&found.null, before);
-            }
-            None => acted = None,
-        }
-    }
+    let rounds = Rounds { equations, title, options, checked, progress };
+    let (found, acted) = rounds.run(experiment)?;
     progress(0.92, "held-out time");
     Ok(conclude(title, options, found, acted))
-}
-
-/// Everything up to the weights of the answers.
-fn weigh_all(
-    equations: Equations,
-    experiment: &Experiment,
-    raw: &Raw,
-    title: &str,
-    (options, checked): (&Options, bool),
-    held_out: Option<usize>,
-    progress: &(dyn Fn(f64, &str) + Sync),
-) -> Result<Found, DiagnosisError> {
-    progress(0.0, "nominal model");
-    let readings = raw.effects();
-    let (setup, null) = prepare(equations, experiment, raw, title, options, held_out)?;
-    if setup.stop.asked() {
-        return Err(DiagnosisError::Stopped);
-    }
-    // Parameters that are off show most at the frequencies of the commands, and hide what repeats at another.
-    let setup = setup.with_more_lines_of(&null.innovation.pass);
-    let nuisance = Nuisance::new(&null);
-    let (mut candidates, mut not_testable) = library::candidates(&setup);
-    candidates.extend(outgrown(&setup, &null));
-    if checked {
-        let mut known = library::known(&setup);
-        known.extend(candidates.iter().cloned());
-        options.check(&known)?;
-    }
-    let candidates = chosen(candidates, &mut not_testable, options);
-    let (candidates, columns, absorbed) = screen(&setup, &null, &nuisance, candidates, &mut not_testable);
-
-    let done = std::sync::atomic::AtomicUsize::new(0);
-    let promising = combine::by_promise(&setup, &null, &nuisance, &candidates, &columns);
-    let mut fits = search::singles(&setup, &null, &promising, &|label| {
-        let k = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
-        progress(0.05 + 0.45 * k as f64 / candidates.len() as f64, label);
-    });
-    if let Some(limits) =
-        limits_of_its_sensor(&setup, &fits, &mut not_testable).filter(|_| !setup.stop.asked())
-    {
-        fits.extend(search::singles(&setup, &null, &[limits], &|_| ()));
-    }
-    if fits.is_empty() && setup.stop.asked() {
-        return Err(DiagnosisError::Stopped);
-    }
-    progress(0.5, "unknown cause");
-    let weighed = std::sync::atomic::AtomicUsize::new(0);
-    let mut answers = posterior::weigh(&setup, &null, &nuisance, fits, options, &|label| {
-        let k = weighed.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
-        progress((0.5 + 0.1 * k as f64).min(1.0), label);
-    });
-    answers.hold_to_predictions(&setup);
-    let mut columns = columns;
-    columns
-        .extend(unknown::kinds(&setup).into_iter().map(|kind| unknown::columns(&setup, &null, &null, kind)));
-    let score = detect::p_value(&nuisance, &columns, options.seed);
-    let p_value = detect::by_either(score, answers.log_evidence);
-    Ok(Found { setup, null, answers, p_value, not_testable, absorbed, readings })
-}
-
-/// What the search found, before the conclusions.
-struct Found {
-    setup: Setup,
-    null: Fit,
-    answers: posterior::Posterior,
-    p_value: f64,
-    not_testable: Vec<library::NotTestable>,
-    absorbed: Vec<Absorbed>,
-    /// What the raw readings show.
-    readings: Vec<ReadingEffect>,
-}
-
-impl Found {
-    /// Whether the leading answer reaches the sensors' noise.
-    fn reaches_noise(&self) -> bool {
-        self.answers.leader(&self.null).shooting_error <= INEXACT
-    }
 }
 
 /// Share of its probability that all else keeps where something is known to be there that is no effect.
