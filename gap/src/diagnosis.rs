@@ -33,6 +33,7 @@ use crate::rows::Rows;
 use crate::search::{self, Fit, INEXACT};
 use crate::setup::Setup;
 use crate::shapley;
+use crate::whiteness::Whiteness;
 use causes::Models;
 pub use error::DiagnosisError;
 pub(crate) use prepare::prepare;
@@ -247,8 +248,10 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     let mut causes = models.causes(&readings);
     // Beside causes that only scatter, what closes little may do so because of them; what closes nothing is doubted there as well.
     let closes_nothing = how_far.closed_by_effect.value <= 0.0;
+    let innovations = Whiteness::of(&best.innovation.pass, setup.horizon).filter(|_| detected && named);
     if detected && named && acted.is_none() && (causes.is_empty() || closes_nothing) {
-        answers.doubt(left_of_what_can_be(setup, best, refitted, with_effect, options.seed));
+        let by_chance = innovations.is_some_and(|left| left.is_chance());
+        answers.doubt(left_of_what_can_be(setup, best, refitted, with_effect, by_chance, options.seed));
     }
     if let Some(acted) = acted {
         readings.push(acted.effect.clone());
@@ -258,7 +261,7 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
         answers.stand_beside_another(&null);
     }
     let hint = of_size.as_ref().map(readings::in_words);
-    let unexplained = Unexplained { probability: answers.unexplained, share, hint };
+    let unexplained = Unexplained { probability: answers.unexplained, share, hint, innovations };
     let chance = causes.iter().chain(&of_size).map(|r| (0.5 * r.evidence).exp()).fold(p_value, f64::min);
     let (mean_detected, detected) = (detected, detected || !causes.is_empty());
     let shown = if mean_detected && named { best } else { &null };
@@ -311,17 +314,24 @@ fn mean_of(r: &ReadingEffect) -> Option<EffectAt> {
 
 /// What the `best` answer leaves on held-out time of what an exact model would not, its rows before and `after`. What may close
 /// something is given the benefit of the doubt, unless the best guess is that it closes nothing.
-fn left_of_what_can_be(setup: &Setup, best: &Fit, before: &Row, after: &Row, seed: u64) -> Left {
+fn left_of_what_can_be(
+    setup: &Setup,
+    best: &Fit,
+    before: &Row,
+    after: &Row,
+    by_chance: bool,
+    seed: u64,
+) -> Left {
     let simulator = library::simulator(setup, &best.hypothesis, best.residuals.clone());
     let floor = floor::expected(setup, &simulator, best.estimate(), &best.innovation.noise);
     if after.mean_square() <= floor {
-        return Left { closed: 1.0, above: 0.0 };
+        return Left { closed: 1.0, above: 0.0, by_chance };
     }
     let closed = quantify::closed_to(floor, before, after, seed);
     let closed = if closed.value > 0.0 { closed.high } else { closed.value };
     let reached = best.shooting_error <= INEXACT;
     let above = if reached { (1.0 - closed) * (before.mean_square() / floor - 1.0).max(0.0) } else { 0.0 };
-    Left { closed, above }
+    Left { closed, above, by_chance }
 }
 
 /// What each of several effects closes; nothing for one.

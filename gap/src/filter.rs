@@ -350,6 +350,12 @@ fn intensities(scale: &[f64], noise: &Noise, states: usize) -> Vec<f64> {
 }
 
 impl Pass {
+    /// Whether the likelihood is of reading `k`; earlier ones of a stretch only tell the state.
+    #[must_use]
+    pub fn weighs(&self, k: usize) -> bool {
+        self.weighs.get(k).copied().unwrap_or(true)
+    }
+
     /// How many states the walk had.
     #[must_use]
     pub fn states(&self) -> usize {

@@ -112,4 +112,5 @@ pub mod statistics;
 pub mod stop;
 pub mod timing;
 pub mod unknown;
+pub mod whiteness;
 pub mod windows;

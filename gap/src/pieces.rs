@@ -14,6 +14,7 @@ use crate::options::Options;
 use crate::report::{Gap, Interrupted, Report, Split, Unexplained, Which, sentence};
 use crate::rows::Rows;
 use crate::setup::Setup;
+use crate::whiteness::Whiteness;
 
 /// Answers of the whole that are listed.
 const LISTED: usize = 12;
@@ -90,6 +91,11 @@ impl<'a> Choice<'a> {
     }
 }
 
+/// The innovations that are least like chance.
+fn worst(all: impl Iterator<Item = Whiteness>) -> Option<Whiteness> {
+    all.max_by(|a, b| a.score.total_cmp(&b.score))
+}
+
 fn together(found: Vec<Diagnosis>, seed: u64) -> Diagnosis {
     let reports: Vec<&Report> = found.iter().map(|d| &d.report).collect();
     let which = which(&reports);
@@ -104,6 +110,7 @@ fn together(found: Vec<Diagnosis>, seed: u64) -> Diagnosis {
             * f64::from(u8::from(!detected.is_empty())),
         share: if detected.is_empty() { 0.0 } else { rows.left() },
         hint: reports.iter().find_map(|r| r.unexplained.hint.clone()),
+        innovations: worst(detected.iter().filter_map(|r| r.unexplained.innovations)),
     };
     let outputs = |d: &Diagnosis| d.overlays.iter().map(|o| o.output.clone()).collect::<Vec<_>>();
     let open: Vec<String> = found.iter().filter(|d| nameless(&&&d.report)).flat_map(outputs).collect();

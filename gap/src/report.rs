@@ -25,6 +25,7 @@ use crate::plot::{axis, draw};
 use crate::readings::ReadingEffect;
 use crate::stop::UNKNOWN;
 use crate::timing::Timing;
+use crate::whiteness::Whiteness;
 
 /// A whole diagnosis.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -218,6 +219,9 @@ pub struct Unexplained {
     /// What is known to be there all the same, in words.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hint: Option<String>,
+    /// What the innovations with the named answer are like; absent where none is named or there are too few.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub innovations: Option<Whiteness>,
 }
 
 /// An effect that a calibrated parameter covers.

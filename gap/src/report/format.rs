@@ -2,6 +2,7 @@
 
 use super::{Interval, Value};
 pub(super) use crate::plot::format::*;
+use crate::whiteness::Whiteness;
 
 /// `0.0410 ± 0.0012 s`: the uncertainty to one significant digit (two where the first is 1), the value to the
 /// same place. A value that the data do not tell is said to be so.
@@ -29,6 +30,14 @@ pub(super) fn interval(interval: &Interval) -> (String, Option<String>) {
         return (share(value), None);
     }
     (format!("{} %", text(value)), Some(format!("{} to {} %", text(low), text(high))))
+}
+
+/// Whether innovations look like chance, and why.
+pub(super) fn innovations(innovations: &Whiteness) -> String {
+    let verdict = if innovations.is_chance() { "looks like chance" } else { "is not chance" };
+    let times = |ratio: f64| format!("{} times", number(ratio, 2));
+    let (slow, uneven) = (times(innovations.slow), times(innovations.uneven));
+    format!("{verdict}: innovations {slow} as slow and {uneven} as uneven as white ones")
 }
 
 #[cfg(test)]

@@ -417,9 +417,13 @@ fn unexplained(report: &Report) -> String {
     let probability = set(&format::probability(unexplained.probability));
     let share = set(&format::share(unexplained.share));
     let hint = unexplained.hint.as_ref().map(|hint| format!("<p>{}</p>\n", escape(hint))).unwrap_or_default();
+    let innovations = unexplained.innovations.as_ref().map(|innovations| {
+        format!("<p>What the best answer leaves {}.</p>\n", set(&format::innovations(innovations)))
+    });
+    let innovations = innovations.unwrap_or_default();
     let content = format!(
         "{hint}<div class=\"pairbar long\"><span>no named effect is the cause</span>{}<b class=\"number\">{probability}</b>\
-         <span>share of the gap left to a flexible residual</span>{}<b class=\"number\">{share}</b></div>\n",
+         <span>share of the gap left to a flexible residual</span>{}<b class=\"number\">{share}</b></div>\n{innovations}",
         bars::share(unexplained.probability, "bar-plain", None),
         bars::share(unexplained.share, "bar-plain", None),
     );

@@ -90,7 +90,11 @@ fn found(report: &Report) -> String {
     } else if closed > 0.0 && report.how_far.with_effect < NEAR * report.how_far.noise_floor {
         "; nothing else is needed"
     } else {
-        ""
+        match report.unexplained.innovations.filter(|_| closed > 0.0) {
+            Some(left) if left.is_chance() => "; what remains looks like chance",
+            Some(_) => "; what remains is not chance",
+            None => "",
+        }
     };
     let causes = causes.join(if places.len() > FEW { ", " } else { ", and at " });
     format!("The gap lies at {causes}{unsure}; {closes}{rest}{others}.")

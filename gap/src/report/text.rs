@@ -46,6 +46,9 @@ pub fn summary(report: &Report) -> String {
     if let Some(hint) = &unexplained.hint {
         lines.put("", 2, hint);
     }
+    if let Some(innovations) = &unexplained.innovations {
+        lines.put("", 2, &format!("what the best one leaves {}", format::innovations(innovations)));
+    }
     for (i, confusable) in report.confusable.iter().take(3).enumerate() {
         let text = format!("{}: {}", confusable.effects.join(" or "), confusable.separate_by);
         lines.put(if i == 0 { "to separate" } else { "" }, 2, &text);

@@ -10,6 +10,7 @@ use parallax_gap::report::{
     Absorbed, Calibration, Confusable, FittedEffect, Gap, HowFar, Interrupted, Interval, NotTestable,
     Overlay, Report, Split, Unexplained, Value, Where, Which, sentence,
 };
+use parallax_gap::whiteness::Whiteness;
 
 /// An effect with parameters as (name, value, std, unit).
 pub(crate) fn effect(name: &str, place: &str, parameters: &[(&str, f64, f64, &str)]) -> FittedEffect {
@@ -104,7 +105,12 @@ pub(crate) fn one_effect() -> Report {
             map("time", "s", 0.4, 0.01, |_| 0.01),
         ],
         readings: vec![],
-        unexplained: Unexplained { probability: 0.01, share: 0.02, hint: None },
+        unexplained: Unexplained {
+            probability: 0.01,
+            share: 0.02,
+            hint: None,
+            innovations: white(1.1, 0.9, 0.4),
+        },
         absorbed: vec![Absorbed { effect: "viscous@joint:shaft".to_owned(), by: "b".to_owned() }],
         not_testable: vec![NotTestable {
             effect: "cogging@joint:shaft".to_owned(),
@@ -208,6 +214,10 @@ pub(crate) fn interrupted() -> Report {
     report
 }
 
+fn white(slow: f64, uneven: f64, score: f64) -> Option<Whiteness> {
+    Some(Whiteness { slow, uneven, score })
+}
+
 /// Everything as the system says.
 pub(crate) fn no_gap() -> Report {
     let mut report = one_effect();
@@ -219,7 +229,7 @@ pub(crate) fn no_gap() -> Report {
     report.where_.clear();
     report.maps.clear();
     report.confusable.clear();
-    report.unexplained = Unexplained { probability: 0.004, share: 0.0, hint: None };
+    report.unexplained = Unexplained { probability: 0.004, share: 0.0, hint: None, innovations: None };
     report.how_far = HowFar {
         horizon_s: 0.25,
         nominal: 1.31,
@@ -240,7 +250,8 @@ pub(crate) fn none_of_these() -> Report {
     let mut report = one_effect();
     report.summary = "There is a gap at joint:shaft, and none of the named effects is its cause.".to_owned();
     report.which[0].probability = 0.08;
-    report.unexplained = Unexplained { probability: 0.88, share: 0.74, hint: None };
+    report.unexplained =
+        Unexplained { probability: 0.88, share: 0.74, hint: None, innovations: white(2.8, 5.2, 19.0) };
     report.how_far.with_effect = 4.9;
     report.how_far.closed_by_effect = interval(0.4, 0.12, 0.55);
     report
@@ -287,7 +298,9 @@ pub(crate) fn extreme() -> Report {
     report.which[0].effects[0] =
         effect("delay", "input:goal", &[("delay", 1e308, f64::MAX, "s"), ("x", -1e-300, 0.0, "")]);
     report.which[1].probability = f64::NAN;
-    report.unexplained = Unexplained { probability: f64::NAN, share: f64::NEG_INFINITY, hint: None };
+    let innovations = white(f64::NAN, 1e300, f64::INFINITY);
+    report.unexplained =
+        Unexplained { probability: f64::NAN, share: f64::NEG_INFINITY, hint: None, innovations };
     report
 }
 
