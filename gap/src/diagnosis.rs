@@ -248,7 +248,8 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     let mut causes = models.causes(&readings);
     // Beside causes that only scatter, what closes little may do so because of them; what closes nothing is doubted there as well.
     let closes_nothing = how_far.closed_by_effect.value <= 0.0;
-    let innovations = Whiteness::of(&best.innovation.pass, setup.horizon).filter(|_| detected && named);
+    let innovations =
+        (detected && named).then(|| Whiteness::of(&best.innovation.pass, setup.horizon)).flatten();
     if detected && named && acted.is_none() && (causes.is_empty() || closes_nothing) {
         let by_chance = innovations.is_some_and(|left| left.is_chance());
         answers.doubt(left_of_what_can_be(setup, best, refitted, with_effect, by_chance, options.seed));

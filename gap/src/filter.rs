@@ -350,7 +350,7 @@ fn intensities(scale: &[f64], noise: &Noise, states: usize) -> Vec<f64> {
 }
 
 impl Pass {
-    /// Whether the likelihood is of reading `k`; earlier ones of a stretch only tell the state.
+    /// Whether the likelihood is of reading `k`; earlier ones of a stretch only tell the state. It is of all of a walk that does not say.
     #[must_use]
     pub fn weighs(&self, k: usize) -> bool {
         self.weighs.get(k).copied().unwrap_or(true)

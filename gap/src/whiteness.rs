@@ -37,7 +37,8 @@ pub struct Whiteness {
 }
 
 impl Whiteness {
-    /// Of the innovations of one walk that its likelihood is of, each in its standard deviations, with stretches of `horizon` (s). Nothing where there are too few.
+    /// Of the innovations of one walk that its likelihood is of, each in its standard deviations, with stretches of `horizon` (s).
+    /// Nothing where there are too few.
     #[must_use]
     pub fn of(pass: &Pass, horizon: f64) -> Option<Self> {
         let outputs = pass.output.iter().max().map_or(0, |last| last + 1);
@@ -61,8 +62,7 @@ impl Whiteness {
             }
         }
         let variance = square / count as f64;
-        let all = stretches.len() as f64;
-        let readings = count as f64 / all;
+        let readings = count as f64 / stretches.len() as f64;
         stretches.retain(|_, (_, count)| *count as f64 > 0.5 * readings);
         let usable = variance > 0.0 && variance.is_finite() && readings >= SHORT;
         if !usable || sums.len() < FEW * NEIGHBOURS || stretches.len() < FEW {

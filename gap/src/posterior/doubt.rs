@@ -35,7 +35,9 @@ impl Left {
         let most = 0.9 * (first - unexplained) / (first + named);
         // Not a number where there was nothing to close.
         let of = |doubt: f64, x: f64| doubt * (1.0 - (-x).exp());
-        let by_left = of(if self.by_chance { DOUBT_OF_CHANCE } else { DOUBT }, left);
+        // What closes nothing is doubted however white it leaves the innovations: they are as white without it.
+        let most_by_left = if self.by_chance && self.closed > 0.0 { DOUBT_OF_CHANCE } else { DOUBT };
+        let by_left = of(most_by_left, left);
         let share = by_left.max(of(DOUBT, above)).min(most);
         if share > 0.0 { share } else { 0.0 }
     }
@@ -56,6 +58,7 @@ mod tests {
             of(1.0, 0.3) < 0.02 && of(1.0, 3.0) > 0.25 && of(0.5, 3.0) >= share(0.5) && of(1.0, 99.0) <= 0.45
         );
         assert!(by_chance(0.5) < 0.5 * share(0.5) && by_chance(0.5) > by_chance(0.9));
+        assert_eq!(by_chance(-0.1), share(-0.1));
         for unexplained in [0.0, 0.1, 0.3, 0.39] {
             let (first, named) = (0.4, 1.0 - unexplained);
             let share = Left { closed: 0.0, above: 9.0, by_chance: false }.doubted(first, named, unexplained);
