@@ -418,7 +418,7 @@ fn unexplained(report: &Report) -> String {
     let share = set(&format::share(unexplained.share));
     let hint = unexplained.hint.as_ref().map(|hint| format!("<p>{}</p>\n", escape(hint))).unwrap_or_default();
     let innovations = unexplained.innovations.as_ref().map(|innovations| {
-        format!("<p>What the best answer leaves {}.</p>\n", set(&format::innovations(innovations)))
+        format!("<p>What the best answer leaves {}.</p>\n", escape(&format::innovations(innovations)))
     });
     let innovations = innovations.unwrap_or_default();
     let content = format!(
