@@ -279,21 +279,25 @@ impl EquationsRun<'_> {
         by: &mut Gradient,
         mut one: impl FnMut(&mut Self, usize, &mut Gradient) -> F64x16,
     ) -> F64x16 {
-        self.load(at, true);
+        let output = |lane: usize| Some(self.table.events[at[lane]?].reading?.output);
+        let outputs: At = std::array::from_fn(output);
+        let after = |last: Option<usize>| outputs.iter().flatten().copied().filter(|o| Some(*o) > last).min();
+        let seen = || std::iter::successors(after(None), |last| after(Some(*last)));
+        // States alone are on the lanes already.
+        if seen().any(|output| self.machine.is_driven(output)) {
+            self.load(at, true);
+        } else {
+            self.load_constants(at);
+        }
         let mut value = F64x16::splat(0.0);
-        let output = |events: &[Event], lane: usize| Some(events[at[lane]?].reading?.output);
-        let outputs: Vec<Option<usize>> = (0..LANES).map(|lane| output(&self.table.events, lane)).collect();
-        let mut seen: Vec<usize> = outputs.iter().flatten().copied().collect();
-        seen.sort_unstable();
-        seen.dedup();
         let mut scratch = std::mem::take(&mut self.scratch);
-        for (k, output) in seen.iter().enumerate() {
+        for (k, output) in seen().enumerate() {
             if k == 0 {
-                value = one(self, *output, by);
+                value = one(self, output, by);
                 continue;
             }
-            let other = one(self, *output, &mut scratch);
-            for lane in (0..LANES).filter(|lane| outputs[*lane] == Some(*output)) {
+            let other = one(self, output, &mut scratch);
+            for lane in (0..LANES).filter(|lane| outputs[*lane] == Some(output)) {
                 value[lane] = other[lane];
                 for (to, from) in by.by.iter_mut().zip(&scratch.by) {
                     to[lane] = from[lane];

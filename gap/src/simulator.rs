@@ -217,7 +217,9 @@ fn single(state: &[f64], parameters: usize) -> Motion {
     motion
 }
 
-fn only(index: usize) -> At {
+/// One event, on the first lane; the others rest.
+#[must_use]
+pub fn only(index: usize) -> At {
     let mut at = [None; LANES];
     at[0] = Some(index);
     at

@@ -6,7 +6,7 @@ use parallax_model::Scalar;
 use parallax_model::fit::Local;
 use parallax_model::lanes::{F64x16, InMemory, Kernel, Simd};
 
-use super::lanes::{innovate, propagate, update};
+use super::lanes::{Pattern, innovate, propagate, update};
 use super::{NOTHING, Tape, Tick};
 use crate::simulator::LANES;
 
@@ -28,6 +28,20 @@ fn mirror<T: Scalar>(n: usize, matrix: &mut [T]) {
             matrix[j * n + i] = matrix[i * n + j];
         }
     }
+}
+
+/// v ← Φ v. No closure in the kernel: what the compiler does not inline there it compiles for the baseline.
+#[inline(always)]
+fn carry<T: Scalar>(pattern: &Pattern, phi: &[T], vector: &mut [T], moved: &mut [T]) {
+    let n = vector.len();
+    for (i, row) in pattern.0.iter().enumerate() {
+        let mut sum = T::constant(0.0);
+        for &k in row {
+            sum += phi[i * n + k] * vector[k];
+        }
+        moved[i] = sum;
+    }
+    vector.copy_from_slice(moved);
 }
 
 impl Kernel for Likelihood<'_> {
@@ -56,20 +70,10 @@ impl Kernel for Likelihood<'_> {
                     let phi = &numbers[*by_state..*by_state + n * n];
                     let dt = <F64x16 as InMemory>::load::<S>(dt);
                     let pattern = &self.tape.patterns[*pattern];
-                    let mut carry = |vector: &mut [_]| {
-                        for (moved, (row, phi)) in
-                            moved.iter_mut().zip(pattern.0.iter().zip(phi.chunks(n.max(1))))
-                        {
-                            let mut sum = zero;
-                            for &k in row {
-                                sum += phi[k] * vector[k];
-                            }
-                            *moved = sum;
-                        }
-                        vector.copy_from_slice(&moved);
-                    };
-                    carry(&mut deviation);
-                    by_deviation.chunks_mut(n.max(1)).for_each(carry);
+                    carry(pattern, phi, &mut deviation, &mut moved);
+                    for by_deviation in by_deviation.chunks_mut(n.max(1)) {
+                        carry(pattern, phi, by_deviation, &mut moved);
+                    }
                     propagate(pattern, phi, dt, self.intensity, &mut p, &mut scratch);
                     for (of, by_p) in self.moving.iter().zip(by_p.chunks_mut((n * n).max(1))) {
                         let own = if of.is_none() { self.intensity } else { &quiet };

@@ -225,6 +225,13 @@ impl<'a> Machine<'a> {
         Level::widest().run(Advance { machine: self, plan, timed, drive, motion });
     }
 
+    /// Whether a reading of this output shows commands or the time, or states alone.
+    #[must_use]
+    pub fn is_driven(&self, output: usize) -> bool {
+        let Layout { parameters, states, .. } = self.field.layout;
+        self.field.outputs[output].tape.uses[parameters + states..].contains(&true)
+    }
+
     /// Predicts a reading on the lanes: its value, and in `by` its derivatives, seeds first.
     pub fn observe(&mut self, output: usize, drive: &Drive, motion: &Motion, by: &mut Gradient) -> F64x16 {
         let layout = self.field.layout;

@@ -41,6 +41,8 @@ pub struct Tape {
     pub outputs: Vec<u32>,
     /// The derivatives of each output that are not zero throughout: column and entry, by column.
     pub derivatives: Vec<Vec<(u32, Entry)>>,
+    /// Whether each input is used.
+    pub uses: Vec<bool>,
     instructions: [Batches; 3],
 }
 
@@ -435,6 +437,7 @@ impl Writer {
                 .iter()
                 .map(|v| v.gradient.iter().map(|(c, part)| (*c, entry(part))).collect())
                 .collect(),
+            uses: needed[..self.first].to_vec(),
             instructions,
         }
     }

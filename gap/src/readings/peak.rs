@@ -26,8 +26,8 @@ pub(super) fn peak(low: f64, high: f64, log_likelihood: impl Fn(f64) -> f64) -> 
     };
     let best_of = |from: f64, to: f64| {
         let step = (to - from) / (POINTS - 1) as f64;
-        let x = (0..POINTS).map(|k| from + k as f64 * step).max_by(|a, b| at(*a).total_cmp(&at(*b)));
-        (x.unwrap_or(from), step)
+        let points = (0..POINTS).map(|k| from + k as f64 * step).map(|x| (x, at(x)));
+        (points.max_by(|a, b| a.1.total_cmp(&b.1)).map_or(from, |best| best.0), step)
     };
     // Each round looks closer around the best point of the one before.
     let (mut x, mut step) = best_of(from, to);
