@@ -1,7 +1,8 @@
 //! What commands print: tables for people, JSON for scripts, progress for whoever waits.
 
 use std::io::{IsTerminal, Write};
-use std::time::Duration;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
@@ -118,9 +119,62 @@ pub(crate) fn progress(what: &str, total: u64) -> ProgressBar {
     bar
 }
 
+/// Work that takes minutes or hours, counted: a bar on a terminal, elsewhere a line a minute, so that a log shows how far it is.
+pub(crate) struct Count {
+    bar: ProgressBar,
+    what: &'static str,
+    total: u64,
+    begun: Instant,
+    done: AtomicU64,
+    /// Minutes that were told.
+    told: AtomicU64,
+}
+
+impl Count {
+    /// Nothing done of `total`.
+    pub(crate) fn new(what: &'static str, total: u64) -> Self {
+        let zero = || AtomicU64::new(0);
+        let bar = progress(what, total);
+        Count { bar, what, total, begun: Instant::now(), done: zero(), told: zero() }
+    }
+
+    /// One more is done.
+    pub(crate) fn one_more(&self) {
+        self.bar.inc(1);
+        let done = self.done.fetch_add(1, Ordering::Relaxed) + 1;
+        let minutes = self.begun.elapsed().as_secs() / 60;
+        if self.told.fetch_max(minutes, Ordering::Relaxed) < minutes && !std::io::stderr().is_terminal() {
+            eprintln!("{}", so_far(self.what, done, self.total, self.begun.elapsed()));
+        }
+    }
+
+    /// Takes the bar away.
+    pub(crate) fn finish(self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+/// How far work is, and how long the rest takes if it goes on like that.
+fn so_far(what: &str, done: u64, total: u64, after: Duration) -> String {
+    let left = after.as_secs_f64() * total.saturating_sub(done) as f64 / done.max(1) as f64;
+    format!("{what}: {done} of {total}, {:.0} min left", (left / 60.0).ceil())
+}
+
 #[cfg(test)]
 mod tests {
-    use super::folded;
+    use std::time::Duration;
+
+    use super::{folded, so_far};
+
+    #[test]
+    fn work_so_far_says_what_is_left() {
+        let said = so_far("making cases", 90, 540, Duration::from_secs(121));
+        assert_eq!(said, "making cases: 90 of 540, 11 min left");
+        assert_eq!(
+            so_far("diagnosing", 540, 540, Duration::from_secs(9)),
+            "diagnosing: 540 of 540, 0 min left"
+        );
+    }
 
     #[test]
     fn long_lines_go_on_below_their_text() {

@@ -25,7 +25,7 @@ use clap::Args;
 use parallax_runtime::launch::signals::Signals;
 
 use super::failure::{Failure, Outcome, Sort};
-use super::output;
+use super::output::{self, Count};
 use case::{CaseResult, diagnose_case, try_baselines};
 use score::Scores;
 use truth::{CASES, Counts};
@@ -223,7 +223,7 @@ fn diagnose_all(arguments: &Arguments, folders: &[PathBuf], signals: &Signals) -
         .open(&path)
         .with_context(|| format!("{} cannot be written", path.display()))
         .map_err(Failure::input)?;
-    let bar = output::progress("diagnosing", open.len() as u64);
+    let progress = Count::new("diagnosing", open.len() as u64);
     for k in open {
         let folder = &folders[k];
         let out = (to_separate > 0).then_some(arguments.out.as_path());
@@ -238,9 +238,9 @@ fn diagnose_all(arguments: &Arguments, folders: &[PathBuf], signals: &Signals) -
         // A line break first: a line that an interruption cut short stays alone.
         let line = serde_json::to_string(&result).map_err(Failure::runtime)?;
         file.write_all(format!("\n{line}").as_bytes()).and_then(|()| file.flush()).runtime()?;
-        bar.inc(1);
+        progress.one_more();
     }
-    bar.finish_and_clear();
+    progress.finish();
     Ok(())
 }
 

@@ -25,6 +25,7 @@ mod outliers;
 mod peak;
 mod raw;
 mod scatter;
+mod sensitivity;
 mod still;
 mod stuck;
 

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use super::seal::{self, Answers, Sealed};
 use crate::cli::failure::{Failure, Outcome, Sort};
-use crate::cli::output;
+use crate::cli::output::{self, Count};
 
 /// The folder of the cases in a run's folder.
 pub(crate) const CASES: &str = "cases";
@@ -144,17 +144,17 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         .with_context(|| format!("the folder {} cannot be made", cases.display()))
         .map_err(Failure::input)?;
     let drafts = drafts(&arguments.counts, seed);
-    let bar = output::progress("making cases", drafts.len() as u64);
+    let count = Count::new("making cases", drafts.len() as u64);
     let made: Result<BTreeMap<String, Sealed>, Failure> = drafts
         .par_iter()
         .map(|draft| {
             let (answer, seed) = draft.make(&cases.join(&draft.name))?;
-            bar.inc(1);
+            count.one_more();
             let plan = draft.plan.clone();
             Ok((draft.name.clone(), Sealed { answer, left_out: draft.left_out, plan, seed }))
         })
         .collect();
-    bar.finish_and_clear();
+    count.finish();
     let answers = Answers { seed, development: arguments.dev_seed.is_some(), cases: made? };
     output::line(seal::seal(&arguments.out, &answers).runtime()?);
     Ok(Outcome::Done)
@@ -174,7 +174,7 @@ fn make_again(out: &Path) -> Result<Outcome, Failure> {
     // Each is moved to its place when it is whole: the shards of a run may all be at this.
     let draft = out.join(format!("again-{}", std::process::id()));
     std::fs::create_dir_all(&cases).runtime()?;
-    let bar = output::progress("making cases again", missing.len() as u64);
+    let count = Count::new("making cases again", missing.len() as u64);
     let made: Result<(), Failure> = missing.par_iter().try_for_each(|(name, sealed)| {
         let folder = draft.join(name);
         std::fs::create_dir_all(&folder).runtime()?;
@@ -191,10 +191,10 @@ fn make_again(out: &Path) -> Result<Outcome, Failure> {
             Err(_) if place.exists() => {}
             moved => moved.runtime()?,
         }
-        bar.inc(1);
+        count.one_more();
         Ok(())
     });
-    bar.finish_and_clear();
+    count.finish();
     std::fs::remove_dir_all(&draft).runtime()?;
     made.map(|()| Outcome::Done)
 }
