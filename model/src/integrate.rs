@@ -1,7 +1,7 @@
 //! Integration of differential equations over states that are trees.
 
 use crate::control::{call, repeat};
-use crate::scalar::Scalar;
+use crate::scalar::{Inlined, Scalar};
 use crate::tree::Tree;
 
 /// The length of an integrator's step, and what follows from it. Prepare it where the length is a parameter.
@@ -37,13 +37,19 @@ impl<T: Scalar> Length<T> {
 /// assert!((x - (-0.1f64).exp()).abs() < 1e-7);
 /// ```
 #[inline(always)]
-pub fn rk4<T: Scalar, X: Tree<T>>(f: impl Fn(&X) -> X, x: X, dt: T) -> X {
+pub fn rk4<T: Scalar, X: Tree<T>>(f: impl Slope<X>, x: X, dt: T) -> X {
+    step(&f, x, dt)
+}
+
+/// As [`rk4`].
+#[inline(always)]
+fn step<T: Scalar, X: Tree<T>>(f: &impl Slope<X>, x: X, dt: T) -> X {
     let Length { whole, half, sixth } = Length::new(dt);
     let (mut at, mut ends, mut middle) = (copy(&x), copy(&x), copy(&x));
     // One place that calls `f`, so that it is inlined here, and what its four runs share is computed once.
     for stage in 0..4 {
-        // Only a traced program keeps the call; on numbers this is `f(&at)`.
-        let slope = call::<T, X, X>("derivative", at, |x| T::compiled(|| f(&x)));
+        // Only a traced program keeps the call; on numbers this is `f.slope(&at)`.
+        let slope = call::<T, X, X>("derivative", at, |x| T::compiled(At { f, x: &x }));
         match stage {
             0 => {
                 at = along(&x, &slope, half);
@@ -65,10 +71,32 @@ pub fn rk4<T: Scalar, X: Tree<T>>(f: impl Fn(&X) -> X, x: X, dt: T) -> X {
 
 /// The right side f of a differential equation dx/dt = f(x).
 ///
-/// A method can be marked `#[inline(always)]`, a closure cannot.
+/// A closure is one. On lanes, one that is more than a few operations long is better a type, whose method is marked
+/// `#[inline(always)]`, which a closure cannot be: see [`Inlined`].
 pub trait Slope<X> {
     /// f(x)
     fn slope(&self, x: &X) -> X;
+}
+
+impl<X, F: Fn(&X) -> X> Slope<X> for F {
+    #[inline(always)]
+    fn slope(&self, x: &X) -> X {
+        self(x)
+    }
+}
+
+/// The slope at one point.
+struct At<'a, F, X> {
+    f: &'a F,
+    x: &'a X,
+}
+
+impl<X, F: Slope<X>> Inlined for At<'_, F, X> {
+    type Output = X;
+    #[inline(always)]
+    fn run(self) -> X {
+        self.f.slope(self.x)
+    }
 }
 
 /// As [`rk4`], for a short equation that is inlined at all four places, and a step whose length is prepared: faster on
@@ -76,10 +104,10 @@ pub trait Slope<X> {
 #[inline(always)]
 pub fn rk4_inlined<T: Scalar, X: Tree<T>>(f: &impl Slope<X>, x: X, length: &Length<T>) -> X {
     let &Length { whole, half, sixth } = length;
-    let first = call::<T, X, X>("derivative", copy(&x), |x| T::compiled(|| f.slope(&x)));
-    let second = call::<T, X, X>("derivative", along(&x, &first, half), |x| T::compiled(|| f.slope(&x)));
-    let third = call::<T, X, X>("derivative", along(&x, &second, half), |x| T::compiled(|| f.slope(&x)));
-    let fourth = call::<T, X, X>("derivative", along(&x, &third, whole), |x| T::compiled(|| f.slope(&x)));
+    let first = call::<T, X, X>("derivative", copy(&x), |x| T::compiled(At { f, x: &x }));
+    let second = call::<T, X, X>("derivative", along(&x, &first, half), |x| T::compiled(At { f, x: &x }));
+    let third = call::<T, X, X>("derivative", along(&x, &second, half), |x| T::compiled(At { f, x: &x }));
+    let fourth = call::<T, X, X>("derivative", along(&x, &third, whole), |x| T::compiled(At { f, x: &x }));
     last(&x, &add(&first, &fourth), &add(&second, &third), sixth)
 }
 
@@ -89,10 +117,10 @@ pub fn rk4_inlined<T: Scalar, X: Tree<T>>(f: &impl Slope<X>, x: X, length: &Leng
 ///
 /// When `steps` is zero.
 #[inline(always)]
-pub fn rk4_steps<T: Scalar, X: Tree<T>>(f: impl Fn(&X) -> X, x: X, dt: T, steps: usize) -> X {
+pub fn rk4_steps<T: Scalar, X: Tree<T>>(f: impl Slope<X>, x: X, dt: T, steps: usize) -> X {
     assert!(steps > 0, "rk4_steps needs at least one step");
     let dt = dt / steps as f64;
-    repeat(steps, x, |x| rk4(&f, x, dt))
+    repeat(steps, x, |x| step(&f, x, dt))
 }
 
 /// `x + slope · dt`

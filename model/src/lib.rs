@@ -82,5 +82,5 @@ pub use dual::Dual;
 pub use model::Model;
 pub use node_model::NodeModel;
 pub use program::Program;
-pub use scalar::Scalar;
+pub use scalar::{Inlined, Scalar};
 pub use tree::Tree;

@@ -169,11 +169,31 @@ pub trait Scalar:
         body(xs, ys);
     }
 
-    /// Runs `work` on the instructions that this number computes with: what is inlined into `work` is compiled for them.
+    /// Does `work` on the instructions that this number computes with: what is inlined into it is compiled for them.
     /// Only lanes have any of their own.
     #[inline(always)]
-    fn compiled<R>(work: impl FnOnce() -> R) -> R {
-        work()
+    fn compiled<W: Inlined>(work: W) -> W::Output {
+        work.run()
+    }
+}
+
+/// A piece of work that [`Scalar::compiled`] compiles for the instructions of its numbers.
+///
+/// A short closure is one. A long one is not inlined everywhere, however often that went well: the compiler weighs it anew with every
+/// change around it, and what it leaves a call computes several times slower. So what is long is a type, whose `run` is marked
+/// `#[inline(always)]`, which a closure cannot be.
+pub trait Inlined {
+    /// What the work gives.
+    type Output;
+    /// Does the work. Mark it `#[inline(always)]`.
+    fn run(self) -> Self::Output;
+}
+
+impl<R, F: FnOnce() -> R> Inlined for F {
+    type Output = R;
+    #[inline(always)]
+    fn run(self) -> R {
+        self()
     }
 }
 

@@ -19,6 +19,7 @@ pub(super) const fn at(i: usize, j: usize) -> usize {
 /// The lower triangle L with L Lᵀ = A Aᵀ, of `rows`, an n × k matrix that is used up: Gram–Schmidt's orthogonalisation of the
 /// rows, in its modified form, whose triangle is as exact as that of Householder's method (Å. Björck, "Numerical Methods for
 /// Least Squares Problems", 2.4). A row without any length gives a column of zeros.
+#[inline(always)]
 pub(super) fn triangularise<T: Scalar>(rows: &mut [T], n: usize, root: &mut [T]) {
     let width = rows.len() / n;
     for i in 0..n {
@@ -116,6 +117,7 @@ pub(super) fn disturb<T: Scalar>(root: &mut [T], place: usize, std: T, v: &mut [
 /// The root of L Lᵀ − v vᵀ, by hyperbolic rotations (R. van der Merwe, E. Wan, "The square-root unscented Kalman filter",
 /// ICASSP 2001: `cholupdate` with a negative sign). `v` is used up. Where that is no covariance, the root stays as it is,
 /// which believes too little rather than too much: the result is 1 then, else 0. `before` has room for the root.
+#[inline(always)]
 pub(super) fn downdate<T: Scalar>(root: &mut [T], v: &mut [T], before: &mut [T]) -> T {
     let (zero, one) = (T::constant(0.0), T::constant(1.0));
     before.copy_from_slice(root);

@@ -3,7 +3,7 @@
 use super::triangle::{at, backward, disturb, downdate, forward, packed, triangularise};
 use super::{FilterError, Process, Work};
 use crate::program::Workspace;
-use crate::scalar::Scalar;
+use crate::scalar::{Inlined, Scalar};
 
 /// How far the points of the unscented transform are from the mean, and how they weigh (R. van der Merwe, "Sigma-Point
 /// Kalman Filters for Probabilistic Inference in Dynamic State-Space Models", 2004, section 3.2.2).
@@ -96,6 +96,42 @@ pub(super) fn take<'a, T>(rest: &mut &'a mut [T], count: usize) -> &'a mut [T] {
     let (taken, left) = std::mem::take(rest).split_at_mut(count);
     *rest = left;
     taken
+}
+
+/// A prediction, compiled for its numbers.
+struct Predict<'a, 'r, P, T: Scalar> {
+    filter: &'a Unscented<P>,
+    constants: &'a Constants<'a, T>,
+    belief: &'a mut [T],
+    inputs: &'a [T],
+    times: [T; 2],
+    room: &'a mut Room<'r, T>,
+}
+
+impl<P: Process, T: Scalar> Inlined for Predict<'_, '_, P, T> {
+    type Output = T;
+    #[inline(always)]
+    fn run(self) -> T {
+        self.filter.predicted(self.constants, self.belief, self.inputs, self.times, self.room)
+    }
+}
+
+/// An update, compiled for its numbers.
+struct Update<'a, 'r, P, T: Scalar> {
+    filter: &'a Unscented<P>,
+    constants: &'a Constants<'a, T>,
+    belief: &'a mut [T],
+    readings: &'a [T],
+    held: (&'a [T], T),
+    room: &'a mut Room<'r, T>,
+}
+
+impl<P: Process, T: Scalar> Inlined for Update<'_, '_, P, T> {
+    type Output = Innovation<T>;
+    #[inline(always)]
+    fn run(self) -> Innovation<T> {
+        self.filter.updated(self.constants, self.belief, self.readings, self.held, self.room)
+    }
 }
 
 impl<P: Process> Unscented<P> {
@@ -232,6 +268,19 @@ impl<P: Process> Unscented<P> {
         constants: &Constants<'_, T>,
         belief: &mut [T],
         inputs: &[T],
+        times: [T; 2],
+        room: &mut Room<'_, T>,
+    ) -> T {
+        T::compiled(Predict { filter: self, constants, belief, inputs, times, room })
+    }
+
+    /// Moves a belief on, wherever it is inlined.
+    #[inline(always)]
+    fn predicted<T: Scalar>(
+        &self,
+        constants: &Constants<'_, T>,
+        belief: &mut [T],
+        inputs: &[T],
         [time, dt]: [T; 2],
         room: &mut Room<'_, T>,
     ) -> T {
@@ -285,6 +334,19 @@ impl<P: Process> Unscented<P> {
     ///
     /// When a list has another length than the process says.
     pub fn update<T: Scalar>(
+        &self,
+        constants: &Constants<'_, T>,
+        belief: &mut [T],
+        readings: &[T],
+        held: (&[T], T),
+        room: &mut Room<'_, T>,
+    ) -> Innovation<T> {
+        T::compiled(Update { filter: self, constants, belief, readings, held, room })
+    }
+
+    /// Corrects a belief, wherever it is inlined.
+    #[inline(always)]
+    fn updated<T: Scalar>(
         &self,
         constants: &Constants<'_, T>,
         belief: &mut [T],

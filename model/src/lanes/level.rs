@@ -122,7 +122,8 @@ const fn same_layout<A, B>() -> bool {
 /// The trap: only what is inlined into `run` is compiled for the wide instructions. Mark `run` and the functions that
 /// it calls in its hot loops `#[inline(always)]`. In a function that stays a call, every operation on registers is a
 /// call as well: the results have the same bits, but it is several times slower. A function that cannot be inlined, such
-/// as a recursive one, wraps its body in [`Scalar::compiled`].
+/// as a recursive one, wraps its body in [`Scalar::compiled`]. `objdump -dC target/release/parallax | grep 'call.*core_arch'`
+/// shows such calls.
 pub trait Kernel {
     /// What the work gives.
     type Output;

@@ -5,7 +5,7 @@ use std::ops::{Add, BitAnd, BitOr, Div, Mul, Neg, Not, Sub};
 
 use super::vector::Vector;
 use super::{Element, Lanes, functions};
-use crate::scalar::{Scalar, assign_operators};
+use crate::scalar::{Inlined, Scalar, assign_operators};
 
 /// One truth value for each lane.
 #[derive(Clone, Copy)]
@@ -310,7 +310,7 @@ impl<V: Vector, const K: usize> Scalar for Lanes<V, K> {
     }
 
     #[inline(always)]
-    fn compiled<R>(work: impl FnOnce() -> R) -> R {
+    fn compiled<W: Inlined>(work: W) -> W::Output {
         V::compiled(work)
     }
 }

@@ -1,6 +1,7 @@
 //! What a machine computes with at once: a register of some lanes, or one number as a register of one lane.
 
 use super::{Element, functions};
+use crate::scalar::Inlined;
 
 /// A register. The operations are those of [`Element`], on every lane.
 ///
@@ -58,8 +59,8 @@ pub trait Vector: Copy + Send + Sync + 'static {
     fn each_pair(self, other: Self, function: impl Fn(Self::Element, Self::Element) -> Self::Element)
     -> Self;
 
-    /// Runs `work` on the instructions that these registers need: what is inlined into it is compiled for them.
-    fn compiled<R>(work: impl FnOnce() -> R) -> R;
+    /// Does `work` on the instructions that these registers need: what is inlined into it is compiled for them.
+    fn compiled<W: Inlined>(work: W) -> W::Output;
 
     /// Changes the sign where the whole number in the lowest bits of `rounded` is odd.
     fn flip_if_odd(self, rounded: Self) -> Self;
@@ -160,8 +161,8 @@ macro_rules! vector {
                 function(self, other)
             }
             #[inline(always)]
-            fn compiled<R>(work: impl FnOnce() -> R) -> R {
-                work()
+            fn compiled<W: Inlined>(work: W) -> W::Output {
+                work.run()
             }
             #[inline(always)]
             fn flip_if_odd(self, rounded: Self) -> Self {

@@ -8,6 +8,7 @@ use std::mem::transmute;
 
 use super::vector::Vector;
 use super::{F32x32, F64x16, Kernel, Lanes, Simd, functions};
+use crate::scalar::Inlined;
 
 /// 128 bits, on every machine.
 #[derive(Clone, Copy, Debug)]
@@ -45,8 +46,8 @@ const _: () = {
 ///
 /// None: every x86-64 machine has it. Unsafe for the sake of its brothers.
 #[inline(always)]
-pub(super) unsafe fn compiled_sse2<R>(work: impl FnOnce() -> R) -> R {
-    work()
+pub(super) unsafe fn compiled_sse2<W: Inlined>(work: W) -> W::Output {
+    work.run()
 }
 
 /// Runs `work`, compiled for AVX2. Not for FMA, which rounds differently.
@@ -55,8 +56,8 @@ pub(super) unsafe fn compiled_sse2<R>(work: impl FnOnce() -> R) -> R {
 ///
 /// The machine must have AVX2.
 #[target_feature(enable = "avx2")]
-pub(super) unsafe fn compiled_avx2<R>(work: impl FnOnce() -> R) -> R {
-    work()
+pub(super) unsafe fn compiled_avx2<W: Inlined>(work: W) -> W::Output {
+    work.run()
 }
 
 /// Runs `work`, compiled for AVX-512.
@@ -65,11 +66,11 @@ pub(super) unsafe fn compiled_avx2<R>(work: impl FnOnce() -> R) -> R {
 ///
 /// The machine must have these instructions.
 #[target_feature(enable = "avx512f,avx512bw,avx512cd,avx512dq,avx512vl")]
-pub(super) unsafe fn compiled_avx512<R>(work: impl FnOnce() -> R) -> R {
-    work()
+pub(super) unsafe fn compiled_avx512<W: Inlined>(work: W) -> W::Output {
+    work.run()
 }
 
-/// Runs a kernel on AVX2. Not by `compiled_avx2`: the kernel would be optimised in a closure first, for the baseline.
+/// Runs a kernel on AVX2.
 ///
 /// # Safety
 ///
@@ -198,7 +199,7 @@ macro_rules! register {
                 unsafe { transmute::<Numbers, $vector>(numbers) }
             }
             #[inline(always)]
-            fn compiled<R>(work: impl FnOnce() -> R) -> R {
+            fn compiled<W: Inlined>(work: W) -> W::Output {
                 unsafe { $compiled(work) }
             }
             #[inline(always)]

@@ -1,7 +1,7 @@
 //! Evaluation on any scalar.
 
 use super::{Function, Op, Program, Value, check::Plan};
-use crate::scalar::Scalar;
+use crate::scalar::{Inlined, Scalar};
 
 /// Memory that evaluation needs, kept between calls so that only the first one allocates.
 #[derive(Clone, Debug)]
@@ -64,6 +64,22 @@ struct Machine<'a> {
     plans: &'a [Plan],
 }
 
+/// One run of a loaded function.
+struct Run<'a, T: Scalar> {
+    machine: &'a Machine<'a>,
+    index: usize,
+    frames: Frames<'a, T>,
+    outputs: &'a mut [T],
+}
+
+impl<T: Scalar> Inlined for Run<'_, T> {
+    type Output = ();
+    #[inline(always)]
+    fn run(self) {
+        self.machine.run_operations(self.index, self.frames, self.outputs);
+    }
+}
+
 impl Machine<'_> {
     /// Runs a function on the concatenation of `inputs`.
     fn run<T: Scalar>(&self, index: usize, inputs: &[&[T]], frames: Frames<'_, T>, outputs: &mut [T]) {
@@ -78,7 +94,7 @@ impl Machine<'_> {
     /// Runs a function whose inputs are already at the start of its frame.
     fn run_loaded<T: Scalar>(&self, index: usize, frames: Frames<'_, T>, outputs: &mut [T]) {
         // Recursive, so never inlined into a kernel: it asks for the kernel's instructions by itself.
-        T::compiled(|| self.run_operations(index, frames, outputs));
+        T::compiled(Run { machine: self, index, frames, outputs });
     }
 
     #[inline(always)]

@@ -1,8 +1,8 @@
 //! The estimator's step: from messages to readings and commands, and from a belief to a message.
 
-use parallax_model::Scalar;
 use parallax_model::filter::{Commands, Compensator, Constants, Given, Process, UNKNOWN};
 use parallax_model::node_model::{FlatModel, NodeStep, Scratch};
+use parallax_model::{Inlined, Scalar};
 use parallax_runtime::model_node::{ModelKind, ModelStart};
 use parallax_runtime::node::{Layout, NodeContext};
 use parallax_runtime::registry::NodeKind;
@@ -153,7 +153,25 @@ impl<P: Process> FlatModel for Estimator<P> {
         scratch: &mut Scratch<T>,
         output: &mut [T],
     ) {
-        T::compiled(|| self.estimate(params, state, step, scratch, output));
+        T::compiled(Estimate { estimator: self, params, state, step, scratch, output });
+    }
+}
+
+/// A step, compiled for its numbers.
+struct Estimate<'a, 's, P, T: Scalar> {
+    estimator: &'a Estimator<P>,
+    params: &'a [T],
+    state: &'a mut [T],
+    step: &'a NodeStep<'s, T>,
+    scratch: &'a mut Scratch<T>,
+    output: &'a mut [T],
+}
+
+impl<P: Process, T: Scalar> Inlined for Estimate<'_, '_, P, T> {
+    type Output = ();
+    #[inline(always)]
+    fn run(self) {
+        self.estimator.estimate(self.params, self.state, self.step, self.scratch, self.output);
     }
 }
 

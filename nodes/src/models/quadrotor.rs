@@ -11,7 +11,7 @@
 //!
 //! Yaw keeps its value: its dynamics are neglected.
 
-use parallax_model::integrate::rk4;
+use parallax_model::integrate::{Slope, rk4};
 use parallax_model::{Model, Scalar, Tree};
 
 /// Gravitational acceleration, m/s².
@@ -284,11 +284,25 @@ pub fn derivative<T: Scalar>(p: &Params<T>, x: &State<T>, u: &Input<T>) -> State
     Moving::of(x).derivative(&constants, sine_and_cosine(x.attitude.yaw), u).with_yaw(T::constant(0.0))
 }
 
+/// What a state moves under whose input is constant.
+struct Held<T> {
+    constants: Constants<T>,
+    yaw: (T, T),
+    input: Input<T>,
+}
+
+impl<T: Scalar> Slope<Moving<T>> for Held<T> {
+    #[inline(always)]
+    fn slope(&self, x: &Moving<T>) -> Moving<T> {
+        x.derivative(&self.constants, self.yaw, &self.input)
+    }
+}
+
 /// The state after one step of `dt` seconds of the integrator under a constant input.
 #[inline(always)]
 pub fn step<T: Scalar>(p: &Params<T>, x: State<T>, u: Input<T>, dt: T) -> State<T> {
     let (constants, yaw) = (Constants::new(p), sine_and_cosine(x.attitude.yaw));
-    rk4(|x: &Moving<T>| x.derivative(&constants, yaw, &u), Moving::of(&x), dt).with_yaw(x.attitude.yaw)
+    rk4(Held { constants, yaw, input: u }, Moving::of(&x), dt).with_yaw(x.attitude.yaw)
 }
 
 /// A state on its way through a step, from −1 at its beginning to 1 at its end.
@@ -307,7 +321,7 @@ struct Along<T> {
     speed: T,
 }
 
-impl<T: Scalar> Along<T> {
+impl<T: Scalar> Slope<OnTheWay<T>> for Along<T> {
     #[inline(always)]
     fn slope(&self, x: &OnTheWay<T>) -> OnTheWay<T> {
         let Self { mean, lean, .. } = self;
@@ -332,7 +346,7 @@ pub fn step_along<T: Scalar>(
     let yaw = sine_and_cosine(x.attitude.yaw);
     let along = Along { constants: *constants, yaw, mean, lean, speed: T::constant(2.0) / dt };
     let begin = OnTheWay { moving: Moving::of(&x), way: T::constant(-1.0) };
-    rk4(|x: &OnTheWay<T>| along.slope(x), begin, dt).moving.with_yaw(x.attitude.yaw)
+    rk4(along, begin, dt).moving.with_yaw(x.attitude.yaw)
 }
 
 /// The quadrotor as a [`Model`].
