@@ -10,7 +10,7 @@ use crate::filter::Noise;
 use crate::innovation::{Segment, walk};
 use crate::report::{Interval, Overlay, WORST_SHARE};
 use crate::setup::Setup;
-use crate::simulator::{Prediction, Simulator, Transition, wrapped};
+use crate::simulator::{Simulator, Trajectory, wrapped};
 use crate::statistics::root_mean_square;
 
 /// Squared errors of the predictions that start at one time: the block of the bootstrap.
@@ -55,19 +55,17 @@ impl Row {
 pub fn predict(setup: &Setup, simulator: &dyn Simulator, theta: &[f64], noise: &Noise) -> Row {
     let mut row = Row::default();
     let n = simulator.states();
-    let mut transition = Transition::default();
-    let mut prediction = Prediction::default();
     for (segment, starts) in starts(setup) {
         let pass = walk(simulator, std::slice::from_ref(&segment), &setup.noise, noise, theta);
-        let mut run = simulator.run(theta);
+        let mut run = simulator.run_at(theta);
         for start in starts {
             let end = (start + setup.horizon).min(segment.to);
             let Some(last) = pass.stamp.iter().rposition(|s| *s < start) else { break };
-            let mut x = pass.state[last * n..(last + 1) * n].to_vec();
+            let mut trajectory = Trajectory::from(&pass.state[last * n..(last + 1) * n]);
             let mut block = Block::default();
             let mut index = pass.event[last];
             while index + 1 < run.events().len() {
-                run.advance(index, &mut x, &mut transition);
+                trajectory.advance(&mut *run, index);
                 index += 1;
                 let Some(reading) = run.events()[index].reading else {
                     // A reading is taken at its stamp or earlier: past the end there is none left.
@@ -82,8 +80,8 @@ pub fn predict(setup: &Setup, simulator: &dyn Simulator, theta: &[f64], noise: &
                 if reading.stamp < start {
                     continue;
                 }
-                run.observe(index, &x, &mut prediction);
-                let error = wrapped(reading.value - prediction.value, run.wrap(reading.output));
+                let predicted = trajectory.observe(&mut *run, index);
+                let error = wrapped(reading.value - predicted, run.wrap(reading.output));
                 let unit = setup.output_noise[reading.output];
                 block.squares += (error / unit).powi(2);
                 block.count += 1;

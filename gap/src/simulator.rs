@@ -217,9 +217,41 @@ fn single(state: &[f64], parameters: usize) -> Motion {
     motion
 }
 
+/// A state that goes along a walk by itself, without sensitivities.
+#[derive(Clone, Debug)]
+pub struct Trajectory {
+    motion: Motion,
+    gradient: Gradient,
+}
+
+impl From<&[f64]> for Trajectory {
+    /// One that is at `state`.
+    fn from(state: &[f64]) -> Self {
+        let mut motion = Motion::new(state.len(), 0, 0);
+        motion.x.iter_mut().zip(state).for_each(|(lanes, value)| *lanes = F64x16::splat(*value));
+        Trajectory { motion, gradient: Gradient::default() }
+    }
+}
+
+impl Trajectory {
+    /// Where it is.
+    pub fn state(&self) -> impl Iterator<Item = f64> + '_ {
+        self.motion.x.iter().map(|lanes| lanes[0])
+    }
+
+    /// Goes from event `index` to event `index + 1`.
+    pub fn advance(&mut self, run: &mut dyn Run, index: usize) {
+        run.advance_lanes(&only(index), &mut self.motion);
+    }
+
+    /// Predicts the reading of event `index`, which must be one, from where it is.
+    pub fn observe(&mut self, run: &mut dyn Run, index: usize) -> f64 {
+        run.observe_lanes(&only(index), &self.motion, &mut self.gradient)[0]
+    }
+}
+
 /// One event, on the first lane; the others rest.
-#[must_use]
-pub fn only(index: usize) -> At {
+fn only(index: usize) -> At {
     let mut at = [None; LANES];
     at[0] = Some(index);
     at

@@ -12,7 +12,6 @@
 use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
-use parallax_model::lanes::F64x16;
 use parallax_model::system::Point;
 
 use crate::experiment::{Experiment, Held, Sample, SupplyVoltage};
@@ -23,7 +22,7 @@ use crate::library;
 use crate::noise::unwrapped;
 use crate::search::Fit;
 use crate::setup::Setup;
-use crate::simulator::{Gradient, Motion, Simulator, only};
+use crate::simulator::{Simulator, Trajectory};
 use crate::statistics::median;
 
 /// How much steeper dry friction is in the machine that a trial imagines than in the models that follow it: enough that it stands
@@ -131,23 +130,20 @@ impl Trial {
         let mut found: Vec<Vec<f64>> = vec![Vec::new(); outputs];
         let mut run = simulator.run_at(fit.theta());
         let (start, _) = simulator.start(&self.state, &self.std, 0.0);
-        // Nothing is asked of how the states depend on where they start.
-        let mut motion = Motion::new(start.len(), 0, 0);
-        motion.x.iter_mut().zip(&start).for_each(|(lanes, value)| *lanes = F64x16::splat(*value));
-        let mut gradient = Gradient::default();
+        let mut trajectory = Trajectory::from(start.as_slice());
         let (mut stamps, mut states) = (Vec::new(), Vec::new());
         for index in 0..run.events().len() {
             let event = run.events()[index];
             stamps.push(event.time);
-            states.extend(motion.x[..self.state.len()].iter().map(|x| x[0]));
+            states.extend(trajectory.state().take(self.state.len()));
             if let Some(reading) = event.reading {
-                found[reading.output].push(run.observe_lanes(&only(index), &motion, &mut gradient)[0]);
+                found[reading.output].push(trajectory.observe(&mut *run, index));
             }
             if index + 1 < run.events().len() {
-                run.advance_lanes(&only(index), &mut motion);
+                trajectory.advance(&mut *run, index);
             }
         }
-        let last: Vec<f64> = motion.x.iter().map(|x| x[0]).collect();
+        let last: Vec<f64> = trajectory.state().collect();
         if found.iter().flatten().chain(&last).any(|v| !v.is_finite() || v.abs() > 1e12) {
             return None;
         }

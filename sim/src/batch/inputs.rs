@@ -252,7 +252,10 @@ impl<T: InMemory> Kernel for Select<'_, T> {
         let (zero, one) = (T::On::<S>::constant(0.0), T::On::<S>::constant(1.0));
         let (last, window) = (self.seqs.len() - 1, self.window);
         if self.delay.interpolation == Interpolation::Smooth {
-            (0..window).for_each(|index| self.smooth::<S>(index, (min, max)));
+            // No closure, which would stay a call outside this kernel's registers.
+            for index in 0..window {
+                self.smooth::<S>(index, (min, max));
+            }
         }
         let linear = self.delay.interpolation == Interpolation::Linear;
         let smooth = self.delay.interpolation == Interpolation::Smooth;
