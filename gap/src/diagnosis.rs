@@ -139,6 +139,9 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
         acted => (acted, None),
     };
     let setup = &setup;
+    if acted.is_some() {
+        answers.stand_beside_another(&null);
+    }
     // Without the effect the machine is predicted from what was sent, with it from what arrived.
     let recorded = acted.as_ref().map(|acted| acted.as_recorded(setup));
     let scored = recorded.as_ref().unwrap_or(setup);
@@ -254,12 +257,12 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
         let by_chance = innovations.is_some_and(|left| left.is_chance());
         answers.doubt(left_of_what_can_be(setup, best, refitted, with_effect, by_chance, options.seed));
     }
+    if !(causes.is_empty() || detected && named || acted.is_some()) {
+        answers.stand_beside_another(&null);
+    }
     if let Some(acted) = acted {
         readings.push(acted.effect.clone());
         causes.push(acted.effect);
-    }
-    if !(causes.is_empty() || detected && named) {
-        answers.stand_beside_another(&null);
     }
     let hint = of_size.as_ref().map(readings::in_words);
     let unexplained = Unexplained { probability: answers.unexplained, share, hint, innovations };
