@@ -122,8 +122,13 @@ const fn same_layout<A, B>() -> bool {
 /// The trap: only what is inlined into `run` is compiled for the wide instructions. Mark `run` and the functions that
 /// it calls in its hot loops `#[inline(always)]`. In a function that stays a call, every operation on registers is a
 /// call as well: the results have the same bits, but it is several times slower. A function that cannot be inlined, such
-/// as a recursive one, wraps its body in [`Scalar::compiled`]. `objdump -dC target/release/parallax | grep 'call.*core_arch'`
-/// shows such calls.
+/// as a recursive one, wraps its body in [`Scalar::compiled`]. So does a closure that is handed to a function, such as `for_each`. This counts
+/// such calls by the function that they stand in:
+///
+/// ```sh
+/// objdump -dC target/release/parallax |
+///     awk '/^[0-9a-f]+ </ { at = $0 } /call.*core_arch/ { calls[at]++ } END { for (at in calls) print calls[at], at }' | sort -rn
+/// ```
 pub trait Kernel {
     /// What the work gives.
     type Output;
