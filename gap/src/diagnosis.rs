@@ -139,9 +139,6 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
         acted => (acted, None),
     };
     let setup = &setup;
-    if acted.is_some() {
-        answers.stand_beside_another(&null);
-    }
     // Without the effect the machine is predicted from what was sent, with it from what arrived.
     let recorded = acted.as_ref().map(|acted| acted.as_recorded(setup));
     let scored = recorded.as_ref().unwrap_or(setup);
@@ -257,6 +254,7 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
         let by_chance = innovations.is_some_and(|left| left.is_chance());
         answers.doubt(left_of_what_can_be(setup, best, refitted, with_effect, by_chance, options.seed));
     }
+    // Beside commands that acted otherwise they were weighed so from the start.
     if !(causes.is_empty() || detected && named || acted.is_some()) {
         answers.stand_beside_another(&null);
     }

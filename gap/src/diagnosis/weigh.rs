@@ -84,6 +84,7 @@ impl Rounds<'_> {
         let beside = self.again(&raw, &by_chance.replaced(experiment), held_out, (0.86, 0.92))?;
         let Some(mut beside) = beside else { return Ok((found, None)) };
         beside.answers.forgive(&beside.null, before);
+        beside.answers.stand_beside_another(&beside.null);
         Ok((beside, acted))
     }
 

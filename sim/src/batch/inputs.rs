@@ -251,14 +251,14 @@ impl<T: InMemory> Kernel for Select<'_, T> {
         let (min, max) = (to_seconds(self.delay.min), to_seconds(self.delay.max));
         let (zero, one) = (T::On::<S>::constant(0.0), T::On::<S>::constant(1.0));
         let (last, window) = (self.seqs.len() - 1, self.window);
-        if self.delay.interpolation == Interpolation::Smooth {
+        let linear = self.delay.interpolation == Interpolation::Linear;
+        let smooth = self.delay.interpolation == Interpolation::Smooth;
+        if smooth {
             // No closure, which would stay a call outside this kernel's registers.
             for index in 0..window {
                 self.smooth::<S>(index, (min, max));
             }
         }
-        let linear = self.delay.interpolation == Interpolation::Linear;
-        let smooth = self.delay.interpolation == Interpolation::Smooth;
         for block in 0..self.alphas.len() {
             // At a bound it is the number itself that is kept, with its derivative.
             let alpha = one.min(zero.max(T::load::<S>(&self.alphas[block])));
