@@ -190,6 +190,9 @@ fn merged(all: Vec<Which>) -> Vec<Which> {
     out
 }
 
+/// Difference in probability within which two places are as likely: below what a report shows of it.
+const AS_LIKELY: f64 = 1e-3;
+
 /// Places by the probability that something of the cause acts there, with what the best single effect there closes.
 pub(crate) fn places(posterior: &posterior::Posterior, readings: &[ReadingEffect]) -> Vec<Where> {
     let mut by_place: BTreeMap<String, Where> = BTreeMap::new();
@@ -218,16 +221,17 @@ pub(crate) fn places(posterior: &posterior::Posterior, readings: &[ReadingEffect
         entry.probability = 1.0;
     }
     let mut out: Vec<Where> = by_place.into_values().collect();
+    out.sort_by(|a, b| b.probability.total_cmp(&a.probability).then(b.share.total_cmp(&a.share)));
     // Of places that are as likely, that of what is named comes first.
     let leader = posterior.answers.first().and_then(|answer| answer.members.first());
     let leads = |place: &Where| {
         leader.is_some_and(|(effects, ..)| effects.iter().any(|at| at.place.to_string() == place.place))
     };
-    let rounded = |place: &Where| (place.probability * 1e3).round();
-    out.sort_by(|a, b| {
-        let by_probability = rounded(b).total_cmp(&rounded(a)).then(leads(b).cmp(&leads(a)));
-        by_probability.then(b.probability.total_cmp(&a.probability)).then(b.share.total_cmp(&a.share))
-    });
+    let most = out.first().map_or(0.0, |place| place.probability);
+    let as_likely = out.iter().take_while(|place| most - place.probability < AS_LIKELY);
+    if let Some(leading) = as_likely.into_iter().position(leads) {
+        out[..=leading].rotate_right(1);
+    }
     out
 }
 

@@ -29,11 +29,6 @@ const PRIOR_UNKNOWN: f64 = 0.1;
 /// effects of a hundredth of their probability. Where an effect was named beside the one that was the cause alone, this one often had.
 const PRIOR_FURTHER: f64 = 0.03;
 
-/// Probability that whatever was found is not it, however clear the evidence among what was weighed: a search ended elsewhere, or a form
-/// differs from the machine's. On development data 48 of 1,343 single causes that were named with more than 0.95 were not the cause, and
-/// of 30 of these the cause was not among the answers at all.
-const SLIP: f64 = 0.03;
-
 /// Cosine of two signatures from which they are of one and the same change of the model: of a pendulum's motor constant and its
 /// inverse inertia they differ in the sixth digit.
 const IDENTICAL: f64 = 1.0 - 1e-7;
@@ -267,8 +262,11 @@ impl Posterior {
         let largest = logs().copied().fold(self.log_no_gap, f64::max);
         let of_a_gap: f64 = logs().map(|log| (log - largest).exp()).sum();
         let total = of_a_gap + (self.log_no_gap - largest).exp();
-        let probability = |log: f64| (1.0 - SLIP) * (log - largest).exp() / total;
-        (self.no_gap, self.unexplained) = (probability(self.log_no_gap), SLIP + probability(log_unknown));
+        let share = |log: f64| (log - largest).exp() / total;
+        let first = self.answers.iter().map(|answer| answer.logs.iter().map(|log| share(*log)).sum::<f64>());
+        let slip = doubt::slip(first.fold(0.0, f64::max) - share(log_unknown));
+        let probability = |log: f64| (1.0 - slip) * share(log);
+        (self.no_gap, self.unexplained) = (probability(self.log_no_gap), slip + probability(log_unknown));
         for answer in &mut self.answers {
             answer.probability = answer.logs.iter().map(|log| probability(*log)).sum();
             // The leader was chosen among those that are as good as the best, so that it is as likely.
