@@ -5,7 +5,8 @@
 const RESTING: [f64; 2] = [6.0, 3.0];
 
 /// How many times as far below readings are counted to compare with. At the top of a smooth motion readings lie as
-/// densely within the first interval as between its end and four times as far: depth goes with the square of time.
+/// densely within the first interval as between its end and four times as far: depth goes with the square of time. They are those
+/// of the swings that reach the top: where others turn around below it, they lie densely as well.
 const BELOW: f64 = 4.0;
 
 /// How many times denser than at the top of a smooth motion readings that rest are.
@@ -35,7 +36,8 @@ pub(crate) struct Limit {
 /// they rest there, or near their extreme where they rest nowhere.
 pub(crate) fn limit(readings: &[f64], noise: f64, upper: bool) -> Limit {
     let sign = if upper { 1.0 } else { -1.0 };
-    let mut sorted: Vec<f64> = readings.iter().map(|y| sign * y).collect();
+    let signed: Vec<f64> = readings.iter().map(|y| sign * y).collect();
+    let mut sorted = signed.clone();
     sorted.sort_by(|a, b| b.total_cmp(a));
     let extreme = sorted.first().copied().unwrap_or(0.0);
     let found = |inner: f64, level: Option<f64>| {
@@ -45,8 +47,7 @@ pub(crate) fn limit(readings: &[f64], noise: f64, upper: bool) -> Limit {
     let skipped = (BEYOND * sorted.len() as f64) as usize;
     for depth in RESTING {
         for (beyond, top) in sorted.iter().enumerate().take(skipped + 1) {
-            let within = |depth: f64| sorted.partition_point(|y| *y >= top - depth * noise);
-            let (resting, below) = (within(depth) - beyond, within(BELOW * depth) - within(depth));
+            let (resting, below) = swings(&signed, *top, depth * noise);
             if resting >= FEWEST && resting as f64 > DENSER * below as f64 {
                 let level = sorted[beyond + resting / 2];
                 return found(level - noise, Some(level));
@@ -54,6 +55,19 @@ pub(crate) fn limit(readings: &[f64], noise: f64, upper: bool) -> Limit {
         }
     }
     found(extreme - RESTING[0] * noise, None)
+}
+
+/// How many readings of the swings that come within `depth` of `top` do so, and how many lie up to [`BELOW`] times as far below it.
+fn swings(readings: &[f64], top: f64, depth: f64) -> (usize, usize) {
+    let (mut resting, mut below) = (0, 0);
+    for swing in readings.split(|y| *y < top - BELOW * depth) {
+        let at_top = swing.iter().filter(|y| **y >= top - depth && **y <= top).count();
+        if at_top > 0 {
+            resting += at_top;
+            below += swing.iter().filter(|y| **y < top - depth).count();
+        }
+    }
+    (resting, below)
 }
 
 #[cfg(test)]
@@ -87,6 +101,21 @@ mod tests {
             limit(&readings, 0.0025, true)
         );
         assert_eq!(limit(&readings, 0.0025, false).level, None);
+    }
+
+    #[test]
+    fn swings_that_turn_around_a_little_below_do_not_hide_it() {
+        let below = swing(2.0).into_iter().map(|y| 0.893 * y);
+        let readings: Vec<f64> = swing(0.9)[..628]
+            .iter()
+            .copied()
+            .chain(below.clone())
+            .chain(below.clone())
+            .chain(below)
+            .collect();
+        let found = limit(&readings, 0.0006, true);
+        assert!(found.level.is_some_and(|level| (level - 0.9).abs() < 0.001), "{found:?}");
+        assert_eq!(limit(&readings[628..], 0.0006, true).level, None);
     }
 
     #[test]

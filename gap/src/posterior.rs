@@ -264,7 +264,7 @@ impl Posterior {
         let total = of_a_gap + (self.log_no_gap - largest).exp();
         let share = |log: f64| (log - largest).exp() / total;
         let first = self.answers.iter().map(|answer| answer.logs.iter().map(|log| share(*log)).sum::<f64>());
-        let slip = doubt::slip(first.fold(0.0, f64::max) - share(log_unknown));
+        let slip = doubt::slip(first.fold(0.0, f64::max), share(log_unknown), share(self.log_no_gap));
         let probability = |log: f64| (1.0 - slip) * share(log);
         (self.no_gap, self.unexplained) = (probability(self.log_no_gap), slip + probability(log_unknown));
         for answer in &mut self.answers {

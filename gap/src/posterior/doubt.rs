@@ -20,10 +20,11 @@ const ABOVE: f64 = 2.0;
 /// of 30 of these the cause was not among the answers at all.
 const SLIP: f64 = 0.03;
 
-/// [`SLIP`], or less where it would put "none of these" before the likeliest answer, which is ahead of it by `ahead`: how sure an answer
-/// is stated must not decide which is named.
-pub(super) fn slip(ahead: f64) -> f64 {
-    if ahead > 0.0 { SLIP.min(0.9 * ahead / (1.0 + ahead)) } else { SLIP }
+/// [`SLIP`], or less where there is rather a gap than none and it would put "none of these" before the `first` answer: how sure an
+/// answer is stated must not decide which is named.
+pub(super) fn slip(first: f64, unexplained: f64, no_gap: f64) -> f64 {
+    let ahead = first - unexplained;
+    if ahead > 0.0 && no_gap < 0.5 { SLIP.min(0.9 * ahead / (1.0 + ahead)) } else { SLIP }
 }
 
 /// What predictions of held-out time with the leading answer leave.
@@ -79,10 +80,11 @@ mod tests {
 
     #[test]
     fn a_slip_never_decides_which_is_named() {
-        assert_eq!(slip(0.9), SLIP);
-        assert_eq!(slip(-0.1), SLIP);
+        assert_eq!(slip(0.95, 0.05, 0.0), SLIP);
+        assert_eq!(slip(0.4, 0.5, 0.1), SLIP);
+        assert_eq!(slip(0.01, 0.005, 0.98), SLIP, "nothing is named where there is no gap");
         for (first, unexplained) in [(0.443_f64, 0.424_f64), (0.35, 0.3499), (0.5, 0.45)] {
-            let slip = slip(first - unexplained);
+            let slip = slip(first, unexplained, 0.0);
             assert!((1.0 - slip) * first > slip + (1.0 - slip) * unexplained, "{first} {unexplained}");
         }
     }

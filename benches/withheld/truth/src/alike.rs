@@ -11,7 +11,7 @@ use crate::signature::{NOTHING, Slopes, Values, View};
 use nalgebra::DVector;
 
 /// Cosine above which two causes count as one class.
-const ALIKE: f64 = 0.97;
+pub(crate) const ALIKE: f64 = 0.97;
 /// Sizes of a cause that are looked at; the cosine from which it comes near, and from which it is fitted.
 const SIZES: usize = 6;
 const NEAR: f64 = 0.3;

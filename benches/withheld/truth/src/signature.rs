@@ -6,6 +6,7 @@
 //! common beyond the first order is no part of the signature. Others are alike when the machine that has one of them in
 //! the cause's place, fitted as well, follows what is shown ([`crate::alike`]).
 
+use crate::alike::ALIKE;
 use crate::case::{Case, Run, reading};
 use crate::effect::{Cause, Kind, Place, label};
 use crate::least_squares::inverse;
@@ -25,6 +26,9 @@ pub(crate) const NOTHING: f64 = 0.01;
 const STEP: f64 = 0.01;
 /// How many times smaller or larger a fitted cause may become in one step.
 const WIDEST: f64 = 20.0;
+
+/// Mean of half a normal distribution in units of its standard deviation: 1/√(π/2 − 1).
+const LATE: f64 = 1.323_6;
 
 /// Sensor values in noise units, by segment.
 pub(crate) type Values = Vec<DVector<f64>>;
@@ -73,12 +77,17 @@ pub(crate) fn detectability(case: &Case, run: &Run) -> f64 {
 /// The same that each of two causes is worth beside the other, the lesser of the two; of two that only scatter readings, each of
 /// which does so of its own sensor, what both are.
 pub(crate) fn least_beside(case: &Case, run: &Run) -> f64 {
-    let beside = |known: Vec<Cause>| View::fit(case, run, known).map_or(0.0, |view| view.cost);
-    match moving(case).as_slice() {
-        [first, second] => beside(vec![*second]).min(beside(vec![*first])),
-        [_] => beside(Vec::new()).min(scatter(case, run)),
-        _ => scatter(case, run),
+    let moving = moving(case);
+    if moving.is_empty() {
+        return scatter(case, run);
     }
+    let worth = |cause: &Cause| {
+        let is_it = |other: &Cause| of_mean(cause).is_some_and(|own| is_same(&own, other));
+        let (own, others): (Vec<Cause>, Vec<Cause>) = moving.iter().partition(|other| is_it(other));
+        let view = if own.is_empty() { None } else { View::fit(case, run, others) };
+        view.map_or(0.0, |view| view.cost) + likelihood(case, run, cause)
+    };
+    case.causes.iter().map(worth).fold(f64::INFINITY, f64::min)
 }
 
 /// Twice the log-likelihood ratio that the causes are worth, and the labels of the class: the causes, then what is alike
@@ -88,11 +97,17 @@ pub(crate) fn judge(case: &Case, run: &Run) -> (f64, Vec<String>) {
     let mut labels: Vec<String> = case.causes.iter().map(own).collect();
     let healthy = View::fit(case, run, Vec::new());
     let cost = healthy.as_ref().map_or(0.0, |view| view.cost);
+    // Readings that scatter as well are told from whatever moves them as their mean is, unless that is nearly all they do.
+    let is_all = |view: &View, lacking: &Cause| {
+        let cause = case.causes.iter().find(|cause| of_mean(cause).is_some_and(|own| is_same(&own, lacking)));
+        let scatters = cause.map_or(0.0, |cause| likelihood(case, run, cause));
+        scatters <= (1.0 - ALIKE * ALIKE) * (view.cost + scatters)
+    };
     match (moving(case).as_slice(), healthy) {
-        ([cause], Some(view)) => view.classify(cause, &mut labels),
+        ([cause], Some(view)) if is_all(&view, cause) => view.classify(cause, &mut labels),
         ([first, second], _) => {
             for (lacking, other) in [(first, second), (second, first)] {
-                if let Some(view) = View::fit(case, run, vec![*other]) {
+                if let Some(view) = View::fit(case, run, vec![*other]).filter(|view| is_all(view, lacking)) {
                     view.classify(lacking, &mut labels);
                 }
             }
@@ -102,10 +117,24 @@ pub(crate) fn judge(case: &Case, run: &Run) -> (f64, Vec<String>) {
     (cost + scatter(case, run), labels)
 }
 
-/// Causes that move what sensors show, rather than how readings scatter around it.
+/// What moves what sensors show, rather than how readings scatter around it: the causes that do, and the mean of times that scatter.
 fn moving(case: &Case) -> Vec<Cause> {
-    let moves = |c: &&Cause| !(c.kind.statistical() && matches!(c.place, Place::Output(_)));
-    case.causes.iter().filter(moves).copied().collect()
+    case.causes.iter().filter_map(of_mean).collect()
+}
+
+/// What a cause does to what a sensor shows, on average. None for one that only scatters readings.
+fn of_mean(cause: &Cause) -> Option<Cause> {
+    match (cause.kind, cause.place) {
+        (Kind::JitterOut, _) => {
+            Some(Cause { kind: Kind::DelayOut, p: [LATE * cause.p[0], 0.0, 0.0, 0.0], ..*cause })
+        }
+        (kind, Place::Output(_)) if kind.statistical() => None,
+        _ => Some(*cause),
+    }
+}
+
+fn is_same(a: &Cause, b: &Cause) -> bool {
+    (a.kind, a.place) == (b.kind, b.place)
 }
 
 /// The real state at the start of each segment.
@@ -133,6 +162,7 @@ fn likelihood(case: &Case, run: &Run, cause: &Cause) -> f64 {
             let lost = case.duration * case.system.sample_rate - count;
             2.0 * lost.max(0.0) * 1000f64.ln()
         }
+        Kind::JitterOut => of_times(case, run, o, a),
         _ => {
             let plain = case.shown(o, &run.states, &[]);
             let at = |t: f64| plain.partition_point(|(s, _)| *s < t - 1e-9).min(plain.len() - 1);
@@ -140,6 +170,15 @@ fn likelihood(case: &Case, run: &Run, cause: &Cause) -> f64 {
             run.readings[o].iter().map(excess).sum::<f64>().max(0.0)
         }
     }
+}
+
+/// What the scatter of readings that are taken late by chance, with this standard deviation of their times, is worth. Nobody knows when
+/// each was taken: around where the mean of the times has it, it scatters by how fast it changes times that deviation.
+fn of_times(case: &Case, run: &Run, output: usize, spread: f64) -> f64 {
+    let plain = case.shown(output, &run.states, &[]);
+    let slopes = plain.windows(3).map(|y| (y[2].1 - y[0].1) / (y[2].0 - y[0].0));
+    let variances = slopes.map(|slope| (slope * spread / run.noise[output]).powi(2));
+    variances.map(|variance| variance - variance.ln_1p()).sum()
 }
 
 impl<'a> View<'a> {
@@ -183,7 +222,7 @@ impl<'a> View<'a> {
     /// The real machine, but for the cause that this one lacks.
     pub(crate) fn real(&self, lacking: &Cause) -> Self {
         let mut others = moving(self.case);
-        others.retain(|cause| (cause.kind, cause.place) != (lacking.kind, lacking.place));
+        others.retain(|cause| !is_same(cause, lacking));
         let mut view = self.moved(self.run.parameters.clone(), real_starts(self.run), others);
         view.settle(|_| true);
         view

@@ -217,6 +217,22 @@ fn what_is_left_out_as_absorbed_leaves_no_trace_after_the_refit() {
     }
 }
 
+/// Nobody knows when a reading was taken: where it changes slowly beside its noise, times that scatter are their mean.
+#[test]
+fn of_times_that_scatter_the_mean_and_the_scatter_are_seen() {
+    let judged = |kind: Kind, p: f64| {
+        let case = plain(ALL[2], vec![cause(kind, Place::Output(0), [p, 0.0, 0.0, 0.0])], 6.0, 9);
+        judge(&case, &case.run())
+    };
+    for (spread, is_its_mean) in [(4e-5, true), (1e-3, false)] {
+        let (of_mean, _) = judged(Kind::DelayOut, 1.3236 * spread);
+        let (seen, class) = judged(Kind::JitterOut, spread);
+        assert!(of_mean > 0.1 && seen > of_mean, "{spread}: {seen} of which {of_mean}");
+        assert_eq!(class[0], "jitter@output:angle1");
+        assert_eq!(class.contains(&"delay@output:angle1".to_owned()), is_its_mean, "{spread}: {class:?}");
+    }
+}
+
 #[test]
 fn what_the_refit_follows_is_not_seen() {
     // All of these but the last are changes of parameters within their bounds; the last is none.
