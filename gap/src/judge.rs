@@ -138,7 +138,7 @@ impl Judge {
 
     /// The same; what is too small to be told from the first effect's form counts where nothing is [`left`](is_nothing) with it, and only
     /// there: a form that is off leaves more than one effect takes. Another value of a parameter follows what
-    /// a form is off by too well to be told from it.
+    /// a form is off by too well to be told from it, and so does what has states of its own.
     #[must_use]
     pub fn is_worth_or(&self, fit: &Fit, base: &Fit, left: impl FnOnce() -> f64) -> bool {
         let complete = || is_nothing(left(), base.innovation.evidence_cost - fit.innovation.evidence_cost);
@@ -153,7 +153,14 @@ impl Judge {
         let known = &base.hypothesis.effects;
         let tuned =
             || fit.hypothesis.effects.iter().any(|at| at.effect == Effect::Parameter && !known.contains(at));
-        base.shooting_error <= INEXACT && self.gains(fit, base) && !same() && !tuned() && complete()
+        // Further states are free in every window, and take what the filter's steps through a stop or a limit leave as well.
+        let freer = || fit.innovation.pass.states() > base.innovation.pass.states();
+        base.shooting_error <= INEXACT
+            && self.gains(fit, base)
+            && !same()
+            && !tuned()
+            && !freer()
+            && complete()
     }
 
     /// Whether `fit` explains more than `other`, which has as many effects: clearly by what decides, or, where nothing reaches the noise,
