@@ -94,7 +94,7 @@ class GraphEnvironment:
     `past_actions` say how much of the past the policy sees; with delays, an observation alone does not tell where the
     machine is. Actions are shares: −1 is the task's smallest, 1 its largest.
 
-    `nodes`, `trainable` and `output_delays` are those of `Graph.compile`; the supervisor needs no model, because the
+    `nodes` and `trainable` are those of `Graph.compile`; the supervisor needs no model, because the
     policy acts in its place.
     """
 
