@@ -51,6 +51,7 @@
 //! # Ok::<(), parallax_runtime::graph::GraphError>(())
 //! ```
 
+mod any_number;
 pub mod channel;
 pub mod clock;
 #[cfg(feature = "conformance")]

@@ -278,6 +278,23 @@ fn errors_name_the_file_and_the_remedy() {
     check(read(&path), &["checksum", "at byte", "damaged"]);
 }
 
+/// What a recording's file says of it first; its nodes have so many bytes of data.
+fn described(recording: &Recording, data: [usize; 3]) -> Description {
+    let nodes = recording.nodes.iter().zip(data).map(|(track, data)| NodeDescription {
+        name: track.name.clone(),
+        layout: track.layout.clone(),
+        initial: track.initial.clone(),
+        stand_in: track.stand_in,
+        data,
+    });
+    Description {
+        graph: recording.graph.clone(),
+        clock: recording.clock.clone(),
+        nodes: nodes.collect(),
+        hosts: recording.hosts.clone(),
+    }
+}
+
 #[test]
 fn pictures_are_packed_and_numbers_are_not_unless_somebody_says_so() {
     let folder = tempfile::tempdir().unwrap();
@@ -292,19 +309,7 @@ fn pictures_are_packed_and_numbers_are_not_unless_somebody_says_so() {
     for (recording, most) in [(&pictures, 10_000), (&sample(), 0)] {
         let size = |packing| {
             let path = folder.path().join(format!("{packing:?}.mcap"));
-            let nodes = recording.nodes.iter().zip([0, most, 0]).map(|(track, data)| NodeDescription {
-                name: track.name.clone(),
-                layout: track.layout.clone(),
-                initial: track.initial.clone(),
-                stand_in: track.stand_in,
-                data,
-            });
-            let description = Description {
-                graph: recording.graph.clone(),
-                clock: recording.clock.clone(),
-                nodes: nodes.collect(),
-                hosts: recording.hosts.clone(),
-            };
+            let description = described(recording, [0, most, 0]);
             let mut writer =
                 RecordingWriter::create_for(&path, &description, Access::Owner, packing).unwrap();
             for (node, track) in recording.nodes.iter().enumerate() {
@@ -324,6 +329,20 @@ fn pictures_are_packed_and_numbers_are_not_unless_somebody_says_so() {
         assert_eq!(suited, if most > 0 { zstd } else { plain });
         assert!(most == 0 || zstd < plain / 20, "{zstd} {plain}");
     }
+}
+
+#[test]
+fn a_file_has_one_writer_at_a_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    let description = described(&sample(), [0; 3]);
+    let first = RecordingWriter::create(&path, &description).unwrap();
+    let refused = RecordingWriter::create(&path, &description).err().unwrap().to_string();
+    assert!(refused.contains("run.mcap") && refused.contains("another run"), "{refused}");
+    first.finish(1_000).unwrap();
+    assert_eq!(Recording::read(&path).unwrap().duration, 1_000);
+    RecordingWriter::create(&path, &description).unwrap().finish(2_000).unwrap();
+    assert_eq!(Recording::read(&path).unwrap().duration, 2_000);
 }
 
 #[test]

@@ -17,6 +17,7 @@ mod live;
 mod lockstep;
 mod new;
 mod output;
+mod printer;
 mod python;
 mod reference;
 mod replay;

@@ -1,6 +1,7 @@
 //! `parallax run`: a graph in real time, one process for each node.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::anyhow;
@@ -16,6 +17,7 @@ use parallax_runtime::time::{Nanos, to_seconds};
 use super::args::{NodeChange, Play, duration, graph_spec, make_parent};
 use super::failure::{Failure, Outcome, Sort};
 use super::info::clock;
+use super::printer::Printer;
 use super::{output, python};
 
 /// How a recording is packed, where it is said.
@@ -110,7 +112,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     let launch = launch_spec(arguments)?;
     let folder = Path::new(&arguments.graph).parent().filter(|_| graph_is_a_file(&arguments.graph));
     let programs = python::programs(&spec, &launch, folder).map_err(Failure::input)?;
-    let defaults = RunOptions::default();
+    let (defaults, printer) = (RunOptions::default(), Printer::new(&bar));
     // An interpreter takes seconds to load its packages and to compile.
     let patience = if programs.is_empty() { defaults.patience } else { Duration::from_secs(120) };
     let options = RunOptions {
@@ -125,10 +127,12 @@ pub(crate) fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         patience,
         spread: !arguments.no_spread,
         progress: Some(watch(&bar)),
-        warn: Some(warn(&bar)),
-        events: Some(tell(&bar)),
+        warn: Some(warn(&printer)),
+        events: Some(tell(&printer)),
         ..defaults
     };
+    // With the run's own share of it the last line is printed.
+    drop(printer);
     let report = launch::run(&spec, &crate::cli::python::registry(), options).map_err(sort)?;
     bar.finish_and_clear();
     if arguments.json {
@@ -237,15 +241,15 @@ pub(crate) fn watch(bar: &ProgressBar) -> Box<dyn FnMut(launch::Progress) -> boo
 }
 
 /// Says warnings on standard error as they come up.
-fn warn(bar: &ProgressBar) -> launch::Warner {
-    let bar = bar.clone();
-    Box::new(move |warning| bar.suspend(|| eprintln!("warning: {warning}")))
+fn warn(printer: &Arc<Printer>) -> launch::Warner {
+    let printer = printer.clone();
+    Box::new(move |warning| printer.say(format!("warning: {warning}")))
 }
 
-/// Says on standard error what happens to nodes, above the bar.
-fn tell(bar: &ProgressBar) -> launch::Watcher {
-    let bar = bar.clone();
-    Box::new(move |event| bar.suspend(|| eprintln!("{event}")))
+/// Says on standard error what happens to nodes.
+fn tell(printer: &Arc<Printer>) -> launch::Watcher {
+    let printer = printer.clone();
+    Box::new(move |event| printer.say(event.to_string()))
 }
 
 /// What the graph says wrong is bad input; what goes wrong on this machine is not.

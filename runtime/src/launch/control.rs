@@ -17,6 +17,9 @@ use super::report::Exit;
 use crate::recording::{Clock, ClockReading, Fault};
 use crate::time::Nanos;
 
+/// Bytes that may wait for room on a line.
+const MOST_WAITING: usize = 1 << 20;
+
 /// Bytes of a line at most.
 const LONGEST: usize = 1 << 20;
 
@@ -77,12 +80,24 @@ pub(super) struct Line {
     stream: UnixStream,
     /// Bytes of a line that is not complete yet.
     partial: Vec<u8>,
+    /// What the other side has had no room for yet, where nobody here waits for it.
+    waiting: Vec<u8>,
+    /// Whether sending waits until there is room, or until the stream's own patience ends.
+    waits: bool,
     closed: bool,
 }
 
 impl Line {
+    /// A line on which sending waits until there is room.
     pub(super) fn new(stream: UnixStream) -> Self {
-        Self { stream, partial: Vec::new(), closed: false }
+        Self { stream, partial: Vec::new(), waiting: Vec::new(), waits: true, closed: false }
+    }
+
+    /// A line on which sending waits for nobody: what there is no room for goes when there is, at the latest when it is asked what has
+    /// come.
+    pub(super) fn without_waiting(stream: UnixStream) -> io::Result<Self> {
+        stream.set_nonblocking(true)?;
+        Ok(Self { waits: false, ..Self::new(stream) })
     }
 
     pub(super) fn fd(&self) -> RawFd {
@@ -104,12 +119,29 @@ impl Line {
     /// Sends one message. A message to somebody who is gone is not an error here: the end of the line is
     /// noticed, and reported, where it is read.
     pub(super) fn send(&mut self, message: &impl Serialize) {
-        let sent = serde_json::to_vec(message).map_err(io::Error::from).and_then(|mut line| {
-            line.push(b'\n');
-            self.stream.write_all(&line)
-        });
-        if sent.is_err() {
-            self.closed = true;
+        if self.waiting.len() > MOST_WAITING {
+            // Whoever has read nothing for so long hangs, and is told all that counts when it is started again.
+            return;
+        }
+        match serde_json::to_writer(&mut self.waiting, message) {
+            Ok(()) => {
+                self.waiting.push(b'\n');
+                self.flush();
+            }
+            Err(_) => self.closed = true,
+        }
+    }
+
+    /// Sends what waits, as far as there is room.
+    fn flush(&mut self) {
+        while !self.waiting.is_empty() && !self.closed {
+            match self.stream.write(&self.waiting) {
+                Ok(0) => self.closed = true,
+                Ok(count) => drop(self.waiting.drain(..count)),
+                Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
+                Err(e) if e.kind() == io::ErrorKind::WouldBlock && !self.waits => return,
+                Err(_) => self.closed = true,
+            }
         }
     }
 
@@ -123,6 +155,7 @@ impl Line {
         milliseconds: i32,
     ) -> Result<Vec<T>, serde_json::Error> {
         let mut messages = Vec::new();
+        self.flush();
         if self.closed || !readable(&[self.fd()], milliseconds) {
             return Ok(messages);
         }
@@ -171,5 +204,23 @@ mod tests {
         drop(here);
         assert_eq!(there.receive::<Order>(1000).unwrap(), []);
         assert!(there.closed());
+    }
+
+    #[test]
+    fn nobody_waits_for_one_who_reads_nothing_and_what_was_said_is_there_when_he_does() {
+        let (here, there) = UnixStream::pair().unwrap();
+        let (mut here, mut there) = (Line::without_waiting(here).unwrap(), Line::new(there));
+        let said = |next| Order::SenderGone { node: "camera".into(), next, back: true };
+        // More than a socket holds.
+        (0..5_000).for_each(|next| here.send(&said(next)));
+        let mut got = Vec::new();
+        while got.len() < 5_000 {
+            got.extend(there.receive::<Order>(1000).unwrap());
+            assert_eq!(here.receive::<Answer>(0).unwrap(), []);
+        }
+        assert!(got.iter().zip(0..).all(|(order, next)| *order == said(next)));
+        // For ever is too long.
+        (0..50_000).for_each(|next| here.send(&said(next)));
+        assert!(here.waiting.len() < 2 * MOST_WAITING && !here.closed());
     }
 }

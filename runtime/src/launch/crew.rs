@@ -27,6 +27,9 @@ use parallax_model::system::Suggestion;
 
 /// How often the launcher looks around when nothing happens.
 pub(super) const TICK: Nanos = 50_000_000;
+/// A look that comes so much later than the one before tells of the launcher's own absence: the machine slept or was frozen, and the nodes
+/// with it.
+const AWAY: Duration = Duration::from_millis(250);
 /// How often at most.
 const SHORTEST_TICK: Nanos = 2_000_000;
 
@@ -51,6 +54,8 @@ pub(super) struct Member {
     pub(super) hangs: u64,
     /// The launcher ended it because it hung for so long.
     pub(super) condemned: Option<Nanos>,
+    /// It died without having stopped its hardware, and nobody has since.
+    pub(super) unstopped: bool,
     /// What has been told of late steps and of outputs that are no numbers, and when.
     pub(super) told: Told,
 }
@@ -91,6 +96,8 @@ pub(super) struct Crew<'a> {
     pub(super) patience: Duration,
     /// Processes that do nothing but stop the hardware of a node that died.
     pub(super) stopping: Vec<(usize, Worker)>,
+    /// The launcher itself was away before this look: nobody's silence is held against them.
+    pub(super) was_away: bool,
 }
 
 impl Drop for Crew<'_> {
@@ -129,8 +136,17 @@ impl<'a> Crew<'a> {
         let journal = Journal { tell: options.events.take(), ..Journal::default() };
         let (patience, stopping) = (options.patience, Vec::new());
         let door = Door::open(site.space, site.graph.nodes().len())?;
-        let mut crew =
-            Self { site, members: Vec::new(), recorder, bridge, journal, door, patience, stopping };
+        let mut crew = Self {
+            site,
+            members: Vec::new(),
+            recorder,
+            bridge,
+            journal,
+            door,
+            patience,
+            stopping,
+            was_away: false,
+        };
         for (node, vitals) in vitals.into_iter().enumerate() {
             let worker = match &mut crew.bridge {
                 Some(bridge) if !bridge.placement().is_here(node) => bridge.hire(crew.site.graph, node)?,
@@ -148,6 +164,7 @@ impl<'a> Crew<'a> {
                 silent: None,
                 hangs: 0,
                 condemned: None,
+                unstopped: false,
                 told: Told::default(),
             });
         }
@@ -241,7 +258,9 @@ impl<'a> Crew<'a> {
 
     /// Waits until a node says something or dies, a signal comes, or the time is over.
     pub(super) fn pause(&self, time: Nanos) {
-        let lines = self.members.iter().map(|member| &member.worker.line).filter(|line| !line.closed());
+        // The line of one that is not heard has hung up, and would always have something to say.
+        let heard = self.members.iter().filter(|member| matches!(member.state, State::Up | State::Coming(_)));
+        let lines = heard.map(|member| &member.worker.line).filter(|line| !line.closed());
         let lines = lines.map(|line| line.fd()).chain(self.door.descriptors());
         let lines: Vec<_> = lines.chain(self.bridge.iter().filter_map(Bridge::fd)).collect();
         readable(&lines, ((time + 999_999) / 1_000_000).clamp(0, 1000) as i32);
@@ -267,7 +286,11 @@ impl<'a> Crew<'a> {
         signals: Option<&Signals>,
     ) -> End {
         let tick = self.tick();
+        let mut looked = Instant::now();
         loop {
+            // Once at a time: a launcher that is always late has to judge as well.
+            self.was_away = looked.elapsed() > AWAY && !self.was_away;
+            looked = Instant::now();
             let now = clock.now();
             let left = options.duration.map_or(Nanos::MAX, |duration| duration - now);
             if let Some(progress) = &mut options.progress

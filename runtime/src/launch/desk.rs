@@ -9,6 +9,7 @@ use crossbeam::queue::ArrayQueue;
 use serde::{Deserialize, Serialize};
 
 use super::control::Answer;
+use crate::any_number;
 use crate::node::ErasedNode;
 use crate::recording::{Change, ChangeKind};
 use crate::time::Nanos;
@@ -70,8 +71,10 @@ pub struct Told {
     /// What was changed.
     pub changes: Vec<Change>,
     /// The parameters that may be set, with their values.
+    #[serde(with = "any_number::named")]
     pub parameters: Vec<(Parameter, f64)>,
     /// The state, by name.
+    #[serde(with = "any_number::named")]
     pub state: Vec<(String, f64)>,
 }
 

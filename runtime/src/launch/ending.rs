@@ -92,8 +92,9 @@ impl Crew<'_> {
                 true => self.record_end(node, &exit, clock),
                 false => self.mourn(node, &exit, clock),
             }
-            self.members[node].state = State::Over;
-            self.members[node].exit = Some(exit);
+            let member = &mut self.members[node];
+            member.unstopped |= matches!(exit, Exit::Died { .. } | Exit::Hung { .. });
+            (member.state, member.exit) = (State::Over, Some(exit));
         }
     }
 
@@ -117,8 +118,9 @@ impl Crew<'_> {
                     member.worker.kill();
                 }
                 // Nobody has called its stop.
-                self.stop_hardware(node, clock);
+                member.unstopped = true;
             }
+            self.stop_hardware(node, clock);
         }
         for (node, mut worker) in std::mem::take(&mut self.stopping) {
             worker.join(self.patience);

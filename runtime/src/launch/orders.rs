@@ -23,6 +23,14 @@ struct News {
     next: AtomicU64,
 }
 
+/// A node is gone.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Absence {
+    /// The message that it did not send any more: one from which that is known has been there since.
+    pub(super) next: u64,
+    pub(super) for_good: bool,
+}
+
 /// There is no news of the node.
 const NONE: u8 = 0;
 /// It is gone, and may come back.
@@ -56,21 +64,15 @@ impl Orders {
         self.any.load(Ordering::Relaxed) && self.any.swap(false, Ordering::Acquire)
     }
 
-    /// Whether a node is gone from which the last message was that before `known`; and whether for good.
-    pub(super) fn absence(&self, node: usize, known: u64) -> Option<bool> {
+    /// Takes the news that a node is gone. What comes meanwhile is there for the next time.
+    pub(super) fn absence(&self, node: usize) -> Option<Absence> {
         let news = self.news.get(node)?;
-        match news.state.load(Ordering::Acquire) {
-            // What it has sent since then shows that it is there.
-            NONE => None,
-            _ if known > news.next.load(Ordering::Relaxed) => None,
-            state => Some(state == DEAD),
+        if news.state.load(Ordering::Relaxed) == NONE {
+            return None;
         }
-    }
-
-    /// The news of a node has been taken in.
-    pub(super) fn forget(&self, node: usize) {
-        if let Some(news) = self.news.get(node) {
-            news.state.store(NONE, Ordering::Relaxed);
+        match news.state.swap(NONE, Ordering::Acquire) {
+            NONE => None,
+            state => Some(Absence { next: news.next.load(Ordering::Relaxed), for_good: state == DEAD }),
         }
     }
 }

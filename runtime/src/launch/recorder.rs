@@ -18,7 +18,7 @@ use super::settings::RunAs;
 use super::worker::{Program, Worker};
 use crate::channel::{Endpoint, Space};
 use crate::graph::Graph;
-use crate::recording::{Access, Clock, ClockReading, Fault, RecordingError};
+use crate::recording::{Access, Clock, ClockReading, Fault, RecordingError, claim};
 use crate::time::Nanos;
 
 /// How long a recorder that died is left alone, at first; twice as long each time.
@@ -78,6 +78,7 @@ impl<'a> Recorder<'a> {
         let open = OpenOptions::new().write(true).create(true).truncate(false).mode(Access::NEW).open(path);
         let access = settings.recorder.as_ref().map_or(Access::Owner, |recording| recording.access);
         let given = open.map_err(create).and_then(|file| {
+            claim(&file, path)?;
             let what = "set who may read";
             access.give(&file).map_err(|source| RecordingError::Io { path: path.into(), what, source })
         });

@@ -20,6 +20,18 @@ const BETWEEN: Duration = Duration::from_secs(1);
 /// How long a node that has said how it ended may take to be gone.
 const ENDING: Duration = Duration::from_millis(500);
 
+/// What becomes of a node that ended while the run goes on.
+#[derive(Debug, Clone, Copy)]
+enum Next {
+    /// It is started again in so long.
+    Restart(Nanos),
+    /// It would be, but has been too often.
+    GivenUp {
+        restarts: u64,
+    },
+    Nothing,
+}
+
 impl Crew<'_> {
     /// Looks after one node; gives the end of the run when it cannot go on.
     pub(super) fn look(&mut self, node: usize, clock: WallClock) -> Option<End> {
@@ -69,27 +81,31 @@ impl Crew<'_> {
             member.state = State::Over;
             return None;
         }
-        let run_ends = || End::Node { node: self.site.graph.nodes()[node].name.clone() };
-        let end = run_ends();
-        self.note(clock, node, EventKind::Ended { exit: exit.clone() });
-        if !ends_run && let Some(delay) = self.next_restart(node, &exit, clock) {
+        member.unstopped |= matches!(exit, Exit::Died { .. } | Exit::Hung { .. });
+        let end = End::Node { node: self.site.graph.nodes()[node].name.clone() };
+        let next = if ends_run { Next::Nothing } else { self.next_restart(node, &exit) };
+        // Receivers and hardware come before whoever reads of it, and who may not read at all.
+        if let Next::Restart(delay) = next {
             let attempt = self.members[node].restarts + 1;
             self.members[node].state = State::Down(Instant::now() + Duration::from_nanos(delay as u64));
-            self.note(clock, node, EventKind::Restarting { attempt, delay });
-            self.record_end(node, &exit, clock);
             self.tell_gone(node, true);
+            self.record_end(node, &exit, clock);
+            self.note(clock, node, EventKind::Ended { exit });
+            self.note(clock, node, EventKind::Restarting { attempt, delay });
             return None;
         }
         self.members[node].state = State::Over;
         self.mourn(node, &exit, clock);
-        if matches!(exit, Exit::Died { .. } | Exit::Hung { .. }) {
-            self.stop_hardware(node, clock);
+        self.stop_hardware(node, clock);
+        self.note(clock, node, EventKind::Ended { exit });
+        if let Next::GivenUp { restarts } = next {
+            self.note(clock, node, EventKind::GivenUp { restarts });
         }
         (ends_run || self.needed(node)).then_some(end)
     }
 
-    /// In how long a node that ended is started again, if it is.
-    fn next_restart(&mut self, node: usize, exit: &Exit, clock: WallClock) -> Option<Nanos> {
+    /// What becomes of a node that ended.
+    fn next_restart(&mut self, node: usize, exit: &Exit) -> Next {
         let Member { settings, restarts, in_a_row, up, .. } = &mut self.members[node];
         let wanted = match settings.restart {
             Restart::Never => false,
@@ -99,19 +115,17 @@ impl Crew<'_> {
             Restart::OnFailure => !matches!(exit, Exit::Died { status, .. } if status == "exit status 0"),
         };
         if !wanted {
-            return None;
+            return Next::Nothing;
         }
         if *restarts >= u64::from(settings.restart_limit) {
-            let restarts = *restarts;
-            self.note(clock, node, EventKind::GivenUp { restarts });
-            return None;
+            return Next::GivenUp { restarts: *restarts };
         }
         if up.elapsed().as_nanos() as Nanos > settings.restart_delay_max {
             *in_a_row = 0;
         }
         let factor = 1i64.checked_shl(*in_a_row).unwrap_or(Nanos::MAX).max(1);
         *in_a_row += 1;
-        Some(settings.restart_delay.saturating_mul(factor).min(settings.restart_delay_max))
+        Next::Restart(settings.restart_delay.saturating_mul(factor).min(settings.restart_delay_max))
     }
 
     fn start_again(&mut self, node: usize, clock: WallClock) -> Option<End> {
@@ -165,6 +179,8 @@ impl Crew<'_> {
                     let member = &mut self.members[node];
                     member.state = State::Up;
                     member.up = Instant::now();
+                    // The fresh process has the hardware, and stops it.
+                    member.unstopped = false;
                     self.note(clock, node, EventKind::Restarted { step });
                     self.record(node, FaultKind::Restarted { step, shift }, clock);
                     // What it says next is for another look.
@@ -198,7 +214,7 @@ impl Crew<'_> {
         let Member { settings, vitals, silent, hangs, condemned, told, worker, .. } = &mut self.members[node];
         let (beat, stepping) = (vitals.get(Vital::Beat) as Nanos, vitals.get(Vital::Stepping) as Nanos);
         let step = vitals.get(Vital::Next);
-        if condemned.is_some() || beat == 0 {
+        if condemned.is_some() || beat == 0 || self.was_away {
             return None;
         }
         if now.saturating_sub(beat) > settings.heartbeat {
@@ -215,8 +231,8 @@ impl Crew<'_> {
             let ends_run = reaction == OnHang::Stop;
             let kind =
                 EventKind::Hangs { silent: now.saturating_sub(beat), step: (stepping > 0).then_some(step) };
-            self.note(clock, node, kind);
             self.tell_gone(node, true);
+            self.note(clock, node, kind);
             if ends_run {
                 return self.ended(node, Exit::Hung { silent: now.saturating_sub(beat) }, true, clock);
             }
@@ -233,8 +249,8 @@ impl Crew<'_> {
                 OnDeadline::Count => {}
                 OnDeadline::Warn => self.note(clock, node, EventKind::Overdue { step }),
                 OnDeadline::Safe => {
-                    self.note(clock, node, EventKind::Overdue { step });
                     self.tell_gone(node, true);
+                    self.note(clock, node, EventKind::Overdue { step });
                 }
                 OnDeadline::Stop => {
                     self.members[node].worker.kill();
@@ -341,9 +357,10 @@ impl Crew<'_> {
         }
     }
 
-    /// Has a fresh process stop the hardware of a node that died, if that is wanted.
+    /// Has a fresh process stop the hardware of a node that died without having done so, if that is wanted.
     pub(super) fn stop_hardware(&mut self, node: usize, clock: WallClock) {
-        if !self.members[node].settings.stop_after_crash {
+        let unstopped = std::mem::take(&mut self.members[node].unstopped);
+        if !(unstopped && self.members[node].settings.stop_after_crash) {
             return;
         }
         // Two processes must not hold the hardware at the same time.

@@ -88,14 +88,16 @@ impl Worker {
             // A Ctrl-C at the terminal goes to the launcher, which stops the nodes in order.
             .process_group(0)
             .spawn()?;
-        Ok(Self { node: node.into(), line: Line::new(here), body: Body::Process(child), ended: None })
+        let line = Line::without_waiting(here)?;
+        Ok(Self { node: node.into(), line, body: Body::Process(child), ended: None })
     }
 
     /// Starts a node as a thread that runs `body` with its end of the line.
     pub(super) fn thread(node: &str, body: impl FnOnce(UnixStream) + Send + 'static) -> io::Result<Self> {
         let (here, there) = UnixStream::pair()?;
+        let line = Line::without_waiting(here)?;
         let handle = std::thread::Builder::new().name(node.into()).spawn(move || body(there))?;
-        Ok(Self { node: node.into(), line: Line::new(here), body: Body::Thread(Some(handle)), ended: None })
+        Ok(Self { node: node.into(), line, body: Body::Thread(Some(handle)), ended: None })
     }
 
     /// A node of another machine, for which somebody speaks at the other end of the line.

@@ -1,7 +1,7 @@
 //! What a node process, or a node thread, does: it takes orders from its launcher and runs its node.
 
 use std::collections::VecDeque;
-use std::io;
+use std::io::{self, Write};
 use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
 use std::os::unix::net::UnixStream;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -75,7 +75,7 @@ pub fn node_main(arguments: impl Iterator<Item = String>, registry: &Registry) -
             (graph, index, settings, space, stream, stop_only)
         }
         Err(error) => {
-            eprintln!("{error}");
+            complain(&error.to_string());
             return ExitCode::FAILURE;
         }
     };
@@ -92,6 +92,11 @@ pub fn node_main(arguments: impl Iterator<Item = String>, registry: &Registry) -
         }
     };
     if in_order { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
+
+/// Says something on standard error, of which nobody need be left who reads it.
+fn complain(text: &str) {
+    let _ = writeln!(io::stderr(), "{text}");
 }
 
 /// The launcher is gone: whoever of its nodes is the last removes what the run had in shared memory.
@@ -117,7 +122,7 @@ fn stop_after_crash(graph: &Graph, index: usize, settings: &Settings) -> bool {
             true
         }
         Err(error) => {
-            eprintln!("{error}");
+            complain(&error.to_string());
             false
         }
     }
@@ -154,6 +159,7 @@ fn prepare(arguments: impl Iterator<Item = String>, registry: &Registry) -> Resu
     };
     let stream = launcher().map_err(|e| refuse(format!("standard input is not its line: {e}")))?;
     awake_without_launcher();
+    wait_for_the_launcher_to_say();
     let space = Space::attach(Path::new(run))?;
     let file = space.read(RUN_FILE)?;
     let RunFile { graph, settings } = serde_json::from_slice(&file).map_err(|e| refuse(e.to_string()))?;
@@ -199,6 +205,15 @@ fn duplicate(fd: i32) -> io::Result<OwnedFd> {
 fn awake_without_launcher() {
     // SAFETY: the call takes integers only and changes nothing but this process's own setting.
     unsafe { libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGCONT) };
+}
+
+/// Has requests to end be the launcher's to follow: whoever ends a service, a session or a machine sends them to every process at once,
+/// and a node that died of one would not have stopped its hardware. When the launcher ends, its line says so.
+fn wait_for_the_launcher_to_say() {
+    for signal in [libc::SIGTERM, libc::SIGINT, libc::SIGHUP] {
+        // SAFETY: the call takes integers only, and no handler is installed that could run.
+        unsafe { libc::signal(signal, libc::SIG_IGN) };
+    }
 }
 
 /// Shows the node's name in the system's list of processes.
@@ -351,6 +366,8 @@ fn work(
             }
         }
     };
+    // Its lock would be that of a living process to whoever looks after what the run left, this one included.
+    drop(space);
     let finished = AtomicBool::new(false);
     // A line inside this process that closes when the loop is over: whoever waits for orders waits for that, too, without
     // looking for it now and then on a core that a node may need.
@@ -445,7 +462,7 @@ fn end_alone(finished: &AtomicBool, own: Option<&Space>) {
         std::thread::sleep(LOOK);
     }
     leave(own);
-    eprintln!("a node hangs and its launcher is gone: it ends without having stopped in order");
+    complain("a node hangs and its launcher is gone: it ends without having stopped in order");
     // SAFETY: the call takes an integer and does not return.
     unsafe { libc::_exit(1) };
 }

@@ -1,10 +1,13 @@
 //! Who may read a recording, and write to it.
 
-use std::fs::{File, Permissions};
+use std::fs::{File, Permissions, TryLockError};
 use std::io;
 use std::os::unix::fs::{MetadataExt, PermissionsExt, fchown};
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
+
+use super::RecordingError;
 
 /// Who may read a recording, and write to it. Files that are not files, such as a device or a pipe, are left as they are.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -15,6 +18,21 @@ pub enum Access {
     Owner,
     /// Its owner and the group of this number: 0660.
     Group(u32),
+}
+
+/// Takes a file for its one writer, until it is closed: two would write over each other. What is no file is left as it is.
+pub(crate) fn claim(file: &File, path: &Path) -> Result<(), RecordingError> {
+    // A file system that knows no locks tells of no other writer.
+    let taken = matches!(file.try_lock(), Err(TryLockError::WouldBlock));
+    let is_file = || file.metadata().is_ok_and(|metadata| metadata.is_file());
+    if taken && is_file() { Err(RecordingError::Busy { path: path.into() }) } else { Ok(()) }
+}
+
+/// The same, and empties it.
+pub(super) fn claim_empty(file: &File, path: &Path) -> Result<(), RecordingError> {
+    claim(file, path)?;
+    let io = |source| RecordingError::Io { path: path.into(), what: "empty the file", source };
+    if file.metadata().map_err(io)?.is_file() { file.set_len(0).map_err(io) } else { Ok(()) }
 }
 
 impl Access {

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::Clock;
+use crate::any_number;
 use crate::graph::{Graph, GraphSpec};
 use crate::node::Layout;
 use crate::time::Nanos;
@@ -38,7 +39,7 @@ pub struct NodeDescription {
     /// Layout of its output messages.
     pub layout: Layout,
     /// The leaves of its initial message.
-    #[serde(with = "any_number")]
+    #[serde(with = "any_number::list")]
     pub initial: Vec<f64>,
     /// Whether it stands in for hardware.
     pub stand_in: bool,
@@ -63,33 +64,6 @@ impl Description {
             data: node.kind.data_capacity(),
         });
         Self { graph: graph.spec().clone(), clock, nodes: nodes.collect(), hosts: BTreeMap::new() }
-    }
-}
-
-/// Numbers as JSON, which knows no NaN and no infinities: these become texts.
-mod any_number {
-    use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
-
-    #[derive(Serialize, Deserialize)]
-    #[serde(untagged)]
-    enum Number {
-        Finite(f64),
-        Other(String),
-    }
-
-    pub(super) fn serialize<S: Serializer>(values: &[f64], serializer: S) -> Result<S::Ok, S::Error> {
-        let number = |value: &f64| {
-            if value.is_finite() { Number::Finite(*value) } else { Number::Other(value.to_string()) }
-        };
-        serializer.collect_seq(values.iter().map(number))
-    }
-
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<f64>, D::Error> {
-        let number = |number| match number {
-            Number::Finite(value) => Ok(value),
-            Number::Other(text) => text.parse().map_err(D::Error::custom),
-        };
-        Vec::<Number>::deserialize(deserializer)?.into_iter().map(number).collect()
     }
 }
 

@@ -26,6 +26,12 @@ pub enum RecordingError {
         /// The system's answer.
         source: io::Error,
     },
+    /// Somebody else is recording into the file.
+    #[error("{path}: another run is recording into this file; give another one with --out")]
+    Busy {
+        /// The file.
+        path: PathBuf,
+    },
     /// The file is empty.
     #[error("{path}: the file is empty; the recorder was killed before it wrote anything. Record again")]
     Empty {

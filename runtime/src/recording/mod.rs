@@ -24,6 +24,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use crate::any_number;
 use crate::data::Data;
 use crate::graph::GraphSpec;
 use crate::node::{InputWindow, Layout};
@@ -31,6 +32,7 @@ use crate::time::Nanos;
 
 pub use crate::node::Consumed;
 pub use access::Access;
+pub(crate) use access::claim;
 pub use convert::IMPORTED_SIGNAL;
 pub(crate) use description::DESCRIPTION;
 pub use description::{Description, NodeDescription};
@@ -334,8 +336,10 @@ pub enum ChangeKind {
         /// Its unit; empty where it has none.
         unit: String,
         /// The value that it had.
+        #[serde(with = "any_number::one")]
         old: f64,
         /// The value that it got.
+        #[serde(with = "any_number::one")]
         new: f64,
     },
     /// The node's state went back to what it was before its first step.

@@ -10,6 +10,7 @@ use mcap::records::MessageHeader;
 use mcap::{Attachment, WriteOptions};
 use serde::Serialize;
 
+use super::access::claim_empty;
 use super::cdr::CdrWriter;
 use super::description::{DESCRIPTION, Description, DescriptionFile, FORMAT, NodeDescription, WITHOUT_DATA};
 use super::error::RecordingError;
@@ -131,8 +132,9 @@ impl RecordingWriter {
     ) -> Result<Self, RecordingError> {
         let io = |source| RecordingError::Io { path: path.into(), what: "create the file", source };
         let fail = |source| RecordingError::Write { path: path.into(), source };
-        let open = OpenOptions::new().write(true).create(true).truncate(true).mode(Access::NEW).open(path);
+        let open = OpenOptions::new().write(true).create(true).truncate(false).mode(Access::NEW).open(path);
         let file = open.map_err(io)?;
+        claim_empty(&file, path)?;
         access.give(&file).map_err(|source| RecordingError::Io {
             path: path.into(),
             what: "set who may read",

@@ -217,15 +217,21 @@ pub(crate) fn remains(pid: u32) -> Vec<String> {
 }
 
 fn ctrl_c_stops_in_order() {
-    for number in [libc::SIGINT, libc::SIGTERM] {
+    // A service that is stopped has its processes told all at once.
+    for (number, everybody) in [(libc::SIGINT, false), (libc::SIGTERM, false), (libc::SIGTERM, true)] {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run.mcap");
         let mut launcher = launch(&path);
         let pid = launcher.id();
         assert_eq!(children(pid).len(), 3, "two nodes and the recorder");
         assert!(remains(pid).len() > 4, "the test must look where the run is");
+        if everybody {
+            children(pid).into_iter().for_each(|node| signal(node, number));
+            std::thread::sleep(Duration::from_millis(50));
+        }
         signal(pid, number);
         assert!(launcher.wait().unwrap().success());
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "one recorder wrote one file");
         let recording = Recording::read(&path).unwrap();
         assert_eq!(recording.truncated, None);
         assert!(recording.node("counter").unwrap().messages.len() >= 20);

@@ -143,6 +143,11 @@ fn a_killed_driver_is_stopped_by_a_fresh_process() {
     let settings = "[node.driver]\nstop_after_crash = true\nheartbeat = 0.1\n";
     observe(&graph(&log, "driver", "hang", 10), 0.4, settings);
     assert_eq!(read(&log).last().unwrap(), "stop AfterCrash");
+    // Nor can one that was to be started again when the run ended.
+    let (_folder, log) = logged();
+    let settings = "[node.driver]\nstop_after_crash = true\nrestart = \"on-failure\"\nrestart_delay = 5\nrestart_delay_max = 5\n";
+    let (report, _) = observe(&graph(&log, "driver", "kill", 10), 0.6, settings);
+    assert_eq!(read(&log).last().unwrap(), "stop AfterCrash", "{report:#?}");
 }
 
 fn a_start_that_is_given_up_stops_a_driver_in_order() {

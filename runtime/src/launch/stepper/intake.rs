@@ -95,19 +95,27 @@ pub(super) enum Taken {
 impl Stepper {
     /// Takes in which senders are gone: their safe outputs stand in for their messages.
     pub(super) fn learn(&mut self, orders: &Orders, now: Nanos) {
-        for (index, input) in self.inputs.iter().enumerate() {
-            let known = self.inbox.gate().known(index);
-            let Some(for_good) = orders.absence(input.sender, known) else { continue };
-            // While it may come back, only those wait for it who would stop without it.
-            if for_good || self.on_dead_sender == OnDeadSender::Continue {
-                self.inbox.sender_dead(index);
+        for first in 0..self.inputs.len() {
+            let sender = self.inputs[first].sender;
+            if self.inputs[..first].iter().any(|input| input.sender == sender) {
+                continue;
             }
-            if self.inbox.is_safe(index) {
-                self.inbox.substitute(index, now);
-                self.vitals.add_safe(index);
+            let Some(absence) = orders.absence(sender) else { continue };
+            for index in (first..self.inputs.len()).filter(|index| self.inputs[*index].sender == sender) {
+                // What it has sent since then shows that it is there.
+                if self.inbox.gate().known(index) > absence.next {
+                    continue;
+                }
+                // While it may come back, only those wait for it who would stop without it.
+                if absence.for_good || self.on_dead_sender == OnDeadSender::Continue {
+                    self.inbox.sender_dead(index);
+                }
+                if self.inbox.is_safe(index) {
+                    self.inbox.substitute(index, now);
+                    self.vitals.add_safe(index);
+                }
             }
         }
-        self.inputs.iter().for_each(|input| orders.forget(input.sender));
     }
 
     /// Takes what has arrived, each message stamped with the time it was taken. What comes after the message that a step

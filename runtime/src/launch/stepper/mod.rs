@@ -21,7 +21,7 @@ use super::records::{Output, Records};
 use super::settings::NodeSettings;
 use super::vitals::{InputVital, Vital, Vitals};
 use crate::channel::{ChannelError, Endpoint, Listener, Publisher, Waker};
-use crate::clock::WallClock;
+use crate::clock::{WallClock, monotonic};
 use crate::data::Data;
 use crate::graph::{Graph, OnDeadSender, SafeOutput, Scheduling};
 use crate::node::{ErasedNode, NodeError, Step, Stopping};
@@ -199,6 +199,8 @@ impl Stepper {
         self.vitals.skip(next..step);
         self.vitals.set(Vital::Next, step);
         self.vitals.set(Vital::Stepping, 0);
+        // That of the earlier process is as old as its death.
+        self.vitals.set(Vital::Beat, monotonic() as u64);
         self.vitals.add(Vital::Starts, 1);
         if let Some(records) = &mut self.records {
             records.sent = self.vitals.get(Vital::Records);
