@@ -121,16 +121,28 @@ pub(crate) fn which(
     out.push(Which { effects: Vec::new(), class: Vec::new(), probability: posterior.no_gap });
     // Readings and commands that come late by chance come late on average: a delay of that size is no cause of its own.
     let scattered = || readings.iter().filter(|r| r.name == Effect::Jitter.name());
-    let spread = scattered().filter_map(|r| Some(r.parameters.get("spread")?.value)).fold(0.0, f64::max);
+    let spread_of = |r: &ReadingEffect| r.parameters.get("spread").map(|spread| spread.value);
+    let spread = scattered().filter_map(spread_of).fold(0.0, f64::max);
     let scatters = |e: &FittedEffect| scattered().any(|r| r.place == e.place);
+    // Commands that scatter do so in all readings; readings of one sensor tell nothing of what another one shows.
+    let only_sensor = setup.equations.system().outputs.len() == 1;
+    let spread_seen = |answer: &Which| {
+        let there = |r: &&ReadingEffect| {
+            let place = format!("@{}", r.place);
+            let is_place = |name: &String| name.ends_with(&place);
+            only_sensor || !r.place.starts_with("output:") || answer.class.iter().any(is_place)
+        };
+        scattered().filter(there).filter_map(spread_of).fold(0.0, f64::max)
+    };
     let (average, rest): (Vec<Which>, Vec<Which>) =
         out.into_iter().partition(|answer| match &answer.effects[..] {
             [only] if only.name == Effect::Delay.name() => {
                 // What acts ahead of its stamp by more is no mean of lateness.
-                only.parameters.values().all(|delay| delay.value.abs() < MEAN_OF_JITTER * spread)
+                let most = MEAN_OF_JITTER * spread_seen(answer);
+                only.parameters.values().all(|delay| delay.value.abs() < most)
             }
             // What is late anywhere shows everywhere behind it, and times that scatter blur how.
-            [only] => (scatters(only) || is_sluggish(only)) && is_mean_of(setup, only, spread),
+            [only] => (scatters(only) || is_sluggish(only)) && is_mean_of(setup, only, spread_seen(answer)),
             _ => false,
         });
     let mut out = rest;

@@ -13,7 +13,6 @@ use crate::hypothesis::{EffectAt, Fitted, Hypothesis, Prior, Slot};
 use crate::setup::Setup;
 
 pub use possible::is_possible;
-pub(crate) use testable::RESTS_NOWHERE;
 
 /// An effect that this system or this log cannot show.
 #[derive(Clone, Debug, PartialEq)]

@@ -350,37 +350,41 @@ impl Setup {
     /// what the fit explains starts.
     #[must_use]
     pub fn with_lines_of(&self, pass: &Pass) -> Setup {
-        let (whitened, width, n) = (pass.whitened(), pass.states(), self.state_range.len());
-        let parameters = self.equations.nominal();
         let mut setup = self.clone();
-        setup.frequencies = spectrum::frequencies(&pass.stamp, &whitened, self.period);
-        for (j, joint) in setup.joints.iter_mut().enumerate() {
-            let positions: Vec<f64> = pass
-                .stamp
-                .iter()
-                .enumerate()
-                .map(|(k, stamp)| {
-                    let states = &pass.state[k * width..k * width + n];
-                    let inputs: Vec<f64> = self.experiment.inputs.iter().map(|h| h.at(*stamp)).collect();
-                    let point = Point { parameters: &parameters, states, inputs: &inputs, time: *stamp };
-                    let values = self.equations.values(&point, &[]);
-                    self.equations.joint(j, &point, &values.lets).position
-                })
-                .collect();
-            joint.wavenumbers = spectrum::wavenumbers(&positions, &whitened);
+        setup.frequencies = spectrum::frequencies(&pass.stamp, &pass.whitened(), self.period);
+        for (joint, wavenumbers) in setup.joints.iter_mut().zip(self.wavenumbers_of(pass)) {
+            joint.wavenumbers = wavenumbers;
         }
         setup
     }
 
-    /// The same data, with the lines in time of a fit beside those that it has.
+    /// The same data, with the lines of a fit beside those that it has.
     #[must_use]
     pub fn with_more_lines_of(mut self, pass: &Pass) -> Setup {
-        for line in spectrum::frequencies(&pass.stamp, &pass.whitened(), self.period) {
-            if self.frequencies.iter().all(|known| (line - known).abs() > SAME_LINE * known) {
-                self.frequencies.push(line);
-            }
+        add_lines(&mut self.frequencies, spectrum::frequencies(&pass.stamp, &pass.whitened(), self.period));
+        let wavenumbers = self.wavenumbers_of(pass);
+        for (joint, more) in self.joints.iter_mut().zip(wavenumbers) {
+            add_lines(&mut joint.wavenumbers, more);
         }
         self
+    }
+
+    /// The lines over each joint's position that stand out of what a fit leaves.
+    fn wavenumbers_of(&self, pass: &Pass) -> Vec<Vec<f64>> {
+        let (whitened, width, n) = (pass.whitened(), pass.states(), self.state_range.len());
+        let parameters = self.equations.nominal();
+        let position = |joint: usize, k: usize| {
+            let (stamp, states) = (pass.stamp[k], &pass.state[k * width..k * width + n]);
+            let inputs: Vec<f64> = self.experiment.inputs.iter().map(|h| h.at(stamp)).collect();
+            let point = Point { parameters: &parameters, states, inputs: &inputs, time: stamp };
+            let values = self.equations.values(&point, &[]);
+            self.equations.joint(joint, &point, &values.lets).position
+        };
+        let of = |joint: usize| {
+            let positions: Vec<f64> = (0..pass.stamp.len()).map(|k| position(joint, k)).collect();
+            spectrum::wavenumbers(&positions, &whitened)
+        };
+        (0..self.joints.len()).map(of).collect()
     }
 
     /// A rate of change of the states that the data suggest: output scale over the horizon.
@@ -392,6 +396,15 @@ impl Setup {
 
 /// Share by which two lines differ at most that are one.
 const SAME_LINE: f64 = 0.01;
+
+/// Adds those lines that are not there yet.
+fn add_lines(known: &mut Vec<f64>, more: Vec<f64>) {
+    for line in more {
+        if known.iter().all(|known| (line - known).abs() > SAME_LINE * known) {
+            known.push(line);
+        }
+    }
+}
 
 /// Which of every three blocks is held out at first.
 pub const HELD_OUT: usize = 2;

@@ -56,7 +56,9 @@ fn features(setup: &Setup, null: &Fit, unknown: Unknown, count: usize) -> Vec<Fe
         }
     };
     for state in 0..n {
-        let mut values: Vec<f64> = pass.state.iter().skip(state).step_by(n).copied().collect();
+        // Effects that are part of the system have states of their own behind its own.
+        let own = pass.state.iter().skip(state).step_by(pass.states().max(1));
+        let mut values: Vec<f64> = own.copied().collect();
         let (low, high) = (quantile(&mut values, 0.01), quantile(&mut values, 0.99));
         bumps(Variable::State(state), low, high, count);
     }

@@ -26,29 +26,6 @@ pub(super) fn outgrown(setup: &Setup, null: &Fit) -> Vec<EffectAt> {
         .collect()
 }
 
-/// Effects among which the limits of a state must be for those of the sensor that shows it to be tried.
-const LEADING: usize = 5;
-
-/// The limits of the sensor that shows a state whose own limits are among what explains most: readings that hardly reach those of a
-/// sensor, or whose noise is a good part of their range, rest nowhere that the eye can see, and only a fit tells the one from the other.
-pub(super) fn limits_of_its_sensor(
-    setup: &Setup,
-    fits: &[Fit],
-    not_testable: &mut Vec<library::NotTestable>,
-) -> Option<EffectAt> {
-    let mut leading: Vec<&Fit> = fits.iter().collect();
-    leading.sort_by(|a, b| a.innovation.evidence_cost.total_cmp(&b.innovation.evidence_cost));
-    let mut effects = leading.iter().take(LEADING).flat_map(|fit| &fit.hypothesis.effects);
-    let is_limit = |at: &&EffectAt| at.effect == Effect::Saturation && at.place.kind == PlaceKind::State;
-    let system = setup.equations.system();
-    let output = system.shown_as(&effects.find(is_limit)?.place.key)?;
-    let place = Place::new(PlaceKind::Output, system.outputs[output].name.clone());
-    let own = EffectAt { effect: Effect::SensorSaturation, place };
-    let rested = not_testable.iter().position(|n| n.effect == own && n.reason == library::RESTS_NOWHERE)?;
-    not_testable.remove(rested);
-    Some(own)
-}
-
 /// The effects that the user lets be tried; the others are listed as not tested.
 pub(super) fn chosen(
     candidates: Vec<EffectAt>,

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use parallax_model::system::Equations;
 
-use super::screen::{chosen, limits_of_its_sensor, outgrown, screen};
+use super::screen::{chosen, outgrown, screen};
 use super::{DiagnosisError, Options, prepare};
 use crate::combine;
 use crate::detect;
@@ -119,15 +119,10 @@ impl Rounds<'_> {
 
         let done = AtomicUsize::new(0);
         let promising = combine::by_promise(&setup, &null, &nuisance, &candidates, &columns);
-        let mut fits = search::singles(&setup, &null, &promising, &|label| {
+        let fits = search::singles(&setup, &null, &promising, &|label| {
             let k = done.fetch_add(1, Ordering::Relaxed) + 1;
             progress(0.05 + 0.45 * k as f64 / candidates.len() as f64, label);
         });
-        if let Some(limits) =
-            limits_of_its_sensor(&setup, &fits, &mut not_testable).filter(|_| !setup.stop.asked())
-        {
-            fits.extend(search::singles(&setup, &null, &[limits], &|_| ()));
-        }
         if fits.is_empty() && setup.stop.asked() {
             return Err(DiagnosisError::Stopped);
         }

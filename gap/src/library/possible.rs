@@ -40,10 +40,9 @@ const FAR: f64 = 4.0;
 pub fn is_possible(setup: &Setup, fit: &Fit) -> bool {
     fit.hypothesis.effects.iter().enumerate().all(|(number, at)| {
         let Some(index) = place_index(setup, &at.place) else { return true };
-        let value = |name: &str| {
-            let mut own = fit.hypothesis.of_effect(number);
-            own.find(|k| fit.hypothesis.fitted[*k].name == name).map(|k| fit.estimate()[k])
-        };
+        let at_name =
+            |name: &str| fit.hypothesis.of_effect(number).find(|k| fit.hypothesis.fitted[*k].name == name);
+        let value = |name: &str| at_name(name).map(|k| fit.estimate()[k]);
         let (low, high) = (value("low").unwrap_or(f64::NEG_INFINITY), value("high").unwrap_or(f64::INFINITY));
         match (at.effect, at.place.kind) {
             (Effect::Lag | Effect::LagSecondOrder, PlaceKind::Input) => {
@@ -68,9 +67,9 @@ pub fn is_possible(setup: &Setup, fit: &Fit) -> bool {
                 inside as f64 >= INSIDE * went.count() as f64
             }
             (Effect::CoulombDahl, _) => {
-                let deflection = fit.hypothesis.fitted.iter().position(|f| f.name == "deflection");
                 // One that wants to build up over a longer way follows whatever else is unknown.
-                deflection.is_none_or(|at| fit.estimate()[at] < LONGEST * fit.hypothesis.fitted[at].high)
+                at_name("deflection")
+                    .is_none_or(|at| fit.estimate()[at] < LONGEST * fit.hypothesis.fitted[at].high)
             }
             (Effect::SensorSaturation, _) => {
                 let noise = setup.output_noise[index];

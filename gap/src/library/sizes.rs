@@ -9,6 +9,7 @@ use super::testable::LARGEST_SKEW;
 use crate::hypothesis::{EffectAt, Fitted, Prior, Slot};
 use crate::limit::limit;
 use crate::setup::{JointScale, Range, Setup};
+use crate::statistics::{median, quantile};
 
 /// Waves over the range of a joint, at least, for a force to be said to repeat: less of one is an arc, as any spring has.
 const LEAST_WAVES: f64 = 1.0;
@@ -134,14 +135,26 @@ fn level(setup: &Setup, at: &EffectAt, index: usize, spec: &EffectParameter, fit
                 _ => (&[0.05, 0.3, 0.6], 1.0),
             };
             let at_share = |share: &f64| end + share * (range.middle() - end);
-            let bound = at_share(&farthest);
-            flat(fitted, bound.min(end), bound.max(end), shares.iter().map(at_share).collect());
+            let mut starts: Vec<f64> = shares.iter().map(at_share).collect();
+            let mut bound = at_share(&farthest);
+            if at.place.kind == PlaceKind::Input {
+                // A few kicks one way put the middle where the command hardly ever is.
+                let usual = median(&mut setup.experiment.inputs[index].values.clone());
+                let inner = if upper { usual.min(bound) } else { usual.max(bound) };
+                if (inner - bound).abs() > ONE_SIDED * range.width() {
+                    starts.push(end + 0.9 * (inner - end));
+                    bound = inner;
+                }
+            }
+            flat(fitted, bound.min(end), bound.max(end), starts);
             if at.place.kind == PlaceKind::Output {
-                // Readings rest at a limit: it is nowhere else.
+                // Readings rest at a limit: it is nowhere else. Where the eye sees none, noise has the extreme beyond it.
                 let (_, readings) = setup.experiment.output(index);
-                let limit = limit(&readings, setup.output_noise[index], upper);
+                let noise = setup.output_noise[index];
+                let limit = limit(&readings, noise, upper);
                 (fitted.low, fitted.high) = (limit.low, limit.high);
-                fitted.starts = vec![limit.level.unwrap_or(fitted.null)];
+                let below = if upper { end - EXTREME * noise } else { end + EXTREME * noise };
+                fitted.starts = vec![limit.level.unwrap_or(below)];
             }
         }
         Quantity::Level if at.effect == Effect::SaturationSoft => {
@@ -175,6 +188,12 @@ fn level(setup: &Setup, at: &EffectAt, index: usize, spec: &EffectParameter, fit
     }
 }
 
+/// Share of a command's range by which what it usually is lies off the middle where it goes far one way only.
+const ONE_SIDED: f64 = 0.1;
+
+/// Standard deviations of noise by which the extreme of some hundred readings at a limit lies beyond it.
+const EXTREME: f64 = 2.5;
+
 /// The fastest change of a command that is not rare, the 98th percentile of those that change at all, and the fastest of all.
 fn fastest(setup: &Setup, input: usize) -> (f64, f64) {
     let held = &setup.experiment.inputs[input];
@@ -186,7 +205,7 @@ fn fastest(setup: &Setup, input: usize) -> (f64, f64) {
     if rates.is_empty() {
         return (1.0, 1.0);
     }
-    let top = crate::statistics::quantile(&mut rates, 0.98).max(1e-12);
+    let top = quantile(&mut rates, 0.98).max(1e-12);
     (top, rates.iter().copied().fold(top, f64::max))
 }
 

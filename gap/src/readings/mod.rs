@@ -75,7 +75,9 @@ pub fn is_trace(effect: &ReadingEffect, all: &[ReadingEffect]) -> bool {
         "outliers" => {
             found(&["jitter"]).any(|e| e.place == effect.place && effect.evidence > TRACE_THERE * e.evidence)
         }
-        "stuck" => found(&["quantization"]).any(|e| e.place == effect.place),
+        "stuck" => {
+            found(&["quantization"]).any(|e| e.place == effect.place && effect.evidence > TRACE * e.evidence)
+        }
         _ => false,
     }
 }

@@ -79,8 +79,10 @@ pub fn scatter(setup: &Setup, fit: &Fit) -> Vec<ReadingEffect> {
     effects.extend(of_inputs.into_iter().flatten());
     let best = |all: &mut dyn Iterator<Item = &ReadingEffect>| all.map(|e| e.evidence).fold(0.0, f64::min);
     let strongest = best(&mut effects.iter());
-    let here: Vec<f64> =
-        effects.iter().map(|e| best(&mut effects.iter().filter(|o| o.place == e.place))).collect();
+    let here: Vec<f64> = effects
+        .iter()
+        .map(|e| best(&mut effects.iter().filter(|o| o.place == e.place && o.significant)))
+        .collect();
     for (effect, here) in effects.iter_mut().zip(here) {
         effect.significant &= effect.evidence <= here && effect.evidence < TRACE * strongest;
     }
