@@ -91,6 +91,23 @@ fn a_killed_node_is_noticed_and_the_recording_kept() {
 }
 
 #[test]
+fn a_run_goes_on_when_nobody_reads_what_it_says() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    let out = path.to_str().unwrap();
+    let restart = "camera.restart=on-failure";
+    let mut launcher = parallax(&["run", "pendulum", "--duration", "3", "--set", restart, "--out", out]);
+    drop(launcher.stderr.take());
+    until_recorded(&path);
+    signal("KILL", node_of(&launcher, "camera"));
+    let output = launcher.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output));
+    let recording = Recording::read(&path).unwrap();
+    assert_eq!((recording.truncated, recording.duration), (None, 3_000_000_000));
+    assert!(recording.faults.iter().any(|fault| fault.node == "camera"), "{:?}", recording.faults);
+}
+
+#[test]
 fn an_interrupted_run_ends_in_order() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run.mcap");

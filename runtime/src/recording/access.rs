@@ -20,21 +20,6 @@ pub enum Access {
     Group(u32),
 }
 
-/// Takes a file for its one writer, until it is closed: two would write over each other. What is no file is left as it is.
-pub(crate) fn claim(file: &File, path: &Path) -> Result<(), RecordingError> {
-    // A file system that knows no locks tells of no other writer.
-    let taken = matches!(file.try_lock(), Err(TryLockError::WouldBlock));
-    let is_file = || file.metadata().is_ok_and(|metadata| metadata.is_file());
-    if taken && is_file() { Err(RecordingError::Busy { path: path.into() }) } else { Ok(()) }
-}
-
-/// The same, and empties it.
-pub(super) fn claim_empty(file: &File, path: &Path) -> Result<(), RecordingError> {
-    claim(file, path)?;
-    let io = |source| RecordingError::Io { path: path.into(), what: "empty the file", source };
-    if file.metadata().map_err(io)?.is_file() { file.set_len(0).map_err(io) } else { Ok(()) }
-}
-
 impl Access {
     /// The mode that a new file is made with: never more than it gets in the end.
     pub(crate) const NEW: u32 = 0o600;
@@ -86,6 +71,21 @@ impl Access {
             (error, _) => Err(io::Error::from_raw_os_error(error)),
         }
     }
+}
+
+/// Takes a file for its one writer, until it is closed: two would write over each other. What is no file is left as it is.
+pub(crate) fn claim(file: &File, path: &Path) -> Result<(), RecordingError> {
+    // A file system that knows no locks tells of no other writer.
+    let taken = matches!(file.try_lock(), Err(TryLockError::WouldBlock));
+    let is_file = || file.metadata().is_ok_and(|metadata| metadata.is_file());
+    if taken && is_file() { Err(RecordingError::Busy { path: path.into() }) } else { Ok(()) }
+}
+
+/// The same, and empties it.
+pub(super) fn claim_empty(file: &File, path: &Path) -> Result<(), RecordingError> {
+    claim(file, path)?;
+    let io = |source| RecordingError::Io { path: path.into(), what: "empty the file", source };
+    if file.metadata().map_err(io)?.is_file() { file.set_len(0).map_err(io) } else { Ok(()) }
 }
 
 #[cfg(test)]
