@@ -7,7 +7,7 @@ mod waves;
 
 use std::cell::OnceCell;
 
-use parallax_model::effect::Effect;
+use parallax_model::effect::{Effect, PlaceKind};
 use rayon::prelude::*;
 
 use crate::hypothesis::EffectAt;
@@ -59,6 +59,7 @@ pub fn combinations(setup: &Setup, null: &Fit, fits: &[Fit], forms: &[EffectAt],
     });
     let mut pool: Vec<Candidate<'_>> = pool.collect();
     pool.extend(other_sides(&pool, forms));
+    pool.extend(limits_of_commands(&pool, forms, null));
     let mut combine = Combine { setup, null, fits, forms, pool, judge: *judge };
     let Beginnings { first, further } = combine.beginnings();
     let mut found: Vec<Fit> = Vec::new();
@@ -116,6 +117,14 @@ fn other_sides<'a>(pool: &[Candidate<'a>], forms: &'a [EffectAt]) -> Vec<Candida
         Some(Candidate { at, alone: known.alone, helps: false })
     });
     others.collect()
+}
+
+/// The limits of commands that alone would hold them still, which nothing does: beside another effect they may be where they are.
+fn limits_of_commands<'a>(pool: &[Candidate<'a>], forms: &'a [EffectAt], null: &'a Fit) -> Vec<Candidate<'a>> {
+    let is_limit = |at: &&EffectAt| at.effect == Effect::Saturation && at.place.kind == PlaceKind::Input;
+    let is_known = |at: &EffectAt| pool.iter().any(|own| own.at.label() == at.label());
+    let others = forms.iter().filter(|at| is_limit(at) && !is_known(at));
+    others.map(|at| Candidate { at, alone: null, helps: false }).collect()
 }
 
 /// The forms that have fewer parameters than those that explain most, fitted again from there, as long as one of theirs is to

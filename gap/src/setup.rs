@@ -332,10 +332,17 @@ impl Setup {
                 let force = root_mean_square(&forces[j]).max(1e-12);
                 let inertia = crate::statistics::median(&mut inertias[j]);
                 // Steep enough to be dry friction at working speeds; no steeper than the integrator stands: a
-                // friction of a quarter of the driving force may change the speed by half this in one step.
-                let stable = if inertia > 0.0 { 0.125 * force * self.step / inertia } else { 0.02 * speed };
+                // friction of a quarter of the driving force may change the speed by half this in one step. What
+                // motion shows of the inertia is of a whole machine; one joint of it may move far more easily.
+                let moved = root_mean_square(&accelerations[j]);
+                let by_motion = force / moved.max(1e-12);
+                let carried = if inertia > 0.0 { inertia } else { by_motion / LIGHTER };
+                let stable = if inertia > 0.0 || moved > 0.0 {
+                    0.125 * force * self.step / carried
+                } else {
+                    UNKNOWN_SMOOTHING * speed
+                };
                 let smoothing = (0.002 * speed).max(stable);
-                let by_motion = force / root_mean_square(&accelerations[j]).max(1e-12);
                 let inertia = if inertia > 0.0 { inertia } else { by_motion };
                 let (position, velocity) = (Range::of(&positions[j]), Range::of(&speeds[j]));
                 let wavenumbers = spectrum::wavenumbers(&positions[j], &whitened);
@@ -393,6 +400,12 @@ impl Setup {
         largest / (self.horizon * self.horizon)
     }
 }
+
+/// How much less inertia a joint may have at times than its motion shows on the whole, where it states none.
+const LIGHTER: f64 = 4.0;
+
+/// Smoothing of dry friction as a share of the usual speed, where nothing is known of what the joint moves.
+const UNKNOWN_SMOOTHING: f64 = 0.02;
 
 /// Share by which two lines differ at most that are one.
 const SAME_LINE: f64 = 0.01;

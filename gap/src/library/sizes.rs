@@ -14,6 +14,9 @@ use crate::statistics::{median, quantile};
 /// Waves over the range of a joint, at least, for a force to be said to repeat: less of one is an arc, as any spring has.
 const LEAST_WAVES: f64 = 1.0;
 
+/// The gain of a command, or the scale of a reading, whose sign is the wrong one.
+const REVERSED: f64 = -1.0;
+
 /// Readings of a contact with a hard stop.
 const CONTACT: f64 = 4.0;
 
@@ -93,7 +96,9 @@ fn size(setup: &Setup, at: &EffectAt, index: usize, spec: &EffectParameter, fitt
             // An angle that turns many times compares with its reading only up to whole turns: a start must be near.
             let wraps = at.place.kind == PlaceKind::Output && setup.experiment.wraps[index].is_some();
             sized(fitted, 0.3, if wraps { &[0.0, 0.3, -0.3, 0.6, -0.6] } else { &[0.0] });
-            fitted.low = 0.02;
+            // What is wired or counted the other way round.
+            fitted.starts.push(REVERSED);
+            fitted.low = 3.0 * REVERSED;
         }
         Q::Exponent => sized(fitted, 1.5, &[0.0]),
         Q::Share => sized(fitted, 0.05, &[0.2]),
