@@ -48,18 +48,24 @@ struct Combine<'a> {
     judge: Judge,
 }
 
-/// Combinations that are worth their further effects; `fits` are single effects in their best forms, the best first, and
-/// `forms` are all of them. Single effects that were fitted better from where they are in a combination are among what it
+/// Combinations that are worth their further effects; `fits` are single effects in their best forms, the best first,
+/// `forms` are all of them, and `tried` what else was tried alone. Single effects that were fitted better from where they are in a combination are among what it
 /// gives.
 #[must_use]
-pub fn combinations(setup: &Setup, null: &Fit, fits: &[Fit], forms: &[EffectAt], judge: &Judge) -> Vec<Fit> {
+pub fn combinations(
+    setup: &Setup,
+    null: &Fit,
+    fits: &[Fit],
+    (forms, tried): (&[EffectAt], &[EffectAt]),
+    judge: &Judge,
+) -> Vec<Fit> {
     let helps = |alone: &Fit| judge.cost(alone) < judge.cost(null) - WORTH;
     let pool = fits.iter().filter_map(|alone| {
         Some(Candidate { at: alone.hypothesis.effects.first()?, alone, helps: helps(alone) })
     });
     let mut pool: Vec<Candidate<'_>> = pool.collect();
     pool.extend(other_sides(&pool, forms));
-    pool.extend(limits_of_commands(&pool, forms, null));
+    pool.extend(limits_of_commands(&pool, tried, null));
     let mut combine = Combine { setup, null, fits, forms, pool, judge: *judge };
     let Beginnings { first, further } = combine.beginnings();
     let mut found: Vec<Fit> = Vec::new();
@@ -120,10 +126,14 @@ fn other_sides<'a>(pool: &[Candidate<'a>], forms: &'a [EffectAt]) -> Vec<Candida
 }
 
 /// The limits of commands that alone would hold them still, which nothing does: beside another effect they may be where they are.
-fn limits_of_commands<'a>(pool: &[Candidate<'a>], forms: &'a [EffectAt], null: &'a Fit) -> Vec<Candidate<'a>> {
+fn limits_of_commands<'a>(
+    pool: &[Candidate<'a>],
+    tried: &'a [EffectAt],
+    null: &'a Fit,
+) -> Vec<Candidate<'a>> {
     let is_limit = |at: &&EffectAt| at.effect == Effect::Saturation && at.place.kind == PlaceKind::Input;
     let is_known = |at: &EffectAt| pool.iter().any(|own| own.at.label() == at.label());
-    let others = forms.iter().filter(|at| is_limit(at) && !is_known(at));
+    let others = tried.iter().filter(|at| is_limit(at) && !is_known(at));
     others.map(|at| Candidate { at, alone: null, helps: false }).collect()
 }
 
@@ -184,11 +194,12 @@ impl Combine<'_> {
         })
     }
 
-    /// Whether the best so far leaves nothing material, or nothing at all to any other effect.
+    /// Whether the best so far leaves nothing material, or nothing at all to any other effect. One that needs a parameter to be at
+    /// its bound may stand in for what is there.
     fn is_settled(&self, found: &[Fit]) -> bool {
         let all = self.fits.iter().chain(found);
         let best = all.min_by(|a, b| self.judge.cost(a).total_cmp(&self.judge.cost(b)));
-        best.is_some_and(|best| {
+        best.filter(|best| !best.is_at_bound()).is_some_and(|best| {
             !self.judge.is_material_from(best.shooting_error, 1.0)
                 || (best.shooting_error <= INEXACT && leaves_nothing(self.setup, best, &self.pool))
         })

@@ -5,6 +5,7 @@
 //! smooth, and no sample is interpolated.
 
 mod clipped;
+mod spread;
 mod table;
 
 use std::sync::{Arc, OnceLock};
@@ -22,6 +23,7 @@ use crate::hypothesis::Slot;
 use crate::machine::{Drive, Field, Layout, Machine};
 use crate::simulator::{At, AtLimit, Event, Gradient, LANES, Motion, Run, Simulator};
 use clipped::Clipped;
+pub use spread::Spread;
 use table::{Table, table};
 
 /// Most states and fitted parameters together.
@@ -42,8 +44,8 @@ pub struct EquationsSimulator<'a> {
     plain: OnceLock<Field>,
     /// The events where they do not depend on θ; made when they are asked for.
     events: OnceLock<Arc<Table>>,
-    /// Standard deviations of the states beyond the nominal ones, where a stretch begins.
-    extra_std: Vec<f64>,
+    /// Of the states beyond the nominal ones, where a stretch begins.
+    extra: Vec<Spread>,
     /// Outputs whose sensor has limits.
     clipped: Vec<Clipped>,
     /// Standard deviation of each output's noise; zero where it is not known.
@@ -73,7 +75,7 @@ impl<'a> EquationsSimulator<'a> {
         let plant = plant.with_step(step);
         let full = field(&plant, experiment, &theta, !timed.is_empty());
         let (plain, events) = (OnceLock::new(), OnceLock::new());
-        let extra_std = vec![1.0; plant.extra_states().len()];
+        let extra = vec![Spread::Fixed(1.0); plant.extra_states().len()];
         let outputs = experiment.wraps.len();
         let clipped = Clipped::all(&plant, outputs, &theta);
         let noise = vec![0.0; outputs];
@@ -86,7 +88,7 @@ impl<'a> EquationsSimulator<'a> {
             full,
             plain,
             events,
-            extra_std,
+            extra,
             clipped,
             noise,
         }
@@ -101,10 +103,10 @@ impl<'a> EquationsSimulator<'a> {
         self
     }
 
-    /// The same simulator with standard deviations for the states that effects bring with them, in the plant's order.
+    /// The same simulator with how far the states may be from rest that effects bring with them, in the plant's order.
     #[must_use]
-    pub fn with_extra_std(mut self, std: Vec<f64>) -> Self {
-        self.extra_std = std;
+    pub fn with_extra_spread(mut self, extra: Vec<Spread>) -> Self {
+        self.extra = extra;
         self
     }
 
@@ -133,13 +135,19 @@ impl<'a> EquationsSimulator<'a> {
         Some(held.map(|current| changes[current[input] as usize].stamp).collect())
     }
 
-    fn walk<'b>(&'b self, theta: &[f64], full: bool) -> Box<dyn Run + 'b> {
+    /// The parameters of the equations, and those of effects and residuals behind them.
+    fn parameters_at(&self, theta: &[f64]) -> Vec<f64> {
         let mut parameters = self.plant.equations().nominal();
-        let first_extra = parameters.len();
         parameters.extend(self.plant.extra_values());
         for (slot, value) in self.slots.iter().zip(theta) {
             parameters[position(&self.plant, slot)] = *value;
         }
+        parameters
+    }
+
+    fn walk<'b>(&'b self, theta: &[f64], full: bool) -> Box<dyn Run + 'b> {
+        let parameters = self.parameters_at(theta);
+        let first_extra = self.plant.equations().nominal().len();
         let field = if full {
             &self.full
         } else {
@@ -204,7 +212,7 @@ impl Simulator for EquationsSimulator<'_> {
         self.slots.len()
     }
 
-    fn start(&self, state: &[f64], std: &[f64], time: f64) -> (Vec<f64>, Vec<f64>) {
+    fn start(&self, theta: &[f64], state: &[f64], std: &[f64], time: f64) -> (Vec<f64>, Vec<f64>) {
         let n = self.plant.equations().system().states.len();
         if state.len() == self.plant.states() {
             return (state.to_vec(), std.to_vec());
@@ -212,7 +220,9 @@ impl Simulator for EquationsSimulator<'_> {
         let inputs: Vec<f64> = self.experiment.inputs.iter().map(|held| held.at(time)).collect();
         let parameters = self.plant.equations().nominal();
         let point = Point { parameters: &parameters, states: &state[..n], inputs: &inputs, time };
-        (self.plant.start(&point), std[..n].iter().chain(&self.extra_std).copied().collect())
+        let extra = self.parameters_at(theta).split_off(parameters.len());
+        let spread = self.extra.iter().map(|spread| spread.at(&self.plant, &extra));
+        (self.plant.start(&point), std[..n].iter().copied().chain(spread).collect())
     }
 
     fn run<'a>(&'a self, theta: &[f64]) -> Box<dyn Run + 'a> {

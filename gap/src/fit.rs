@@ -108,7 +108,7 @@ fn with_priors(fitted: &[Fitted], theta: &[f64], local: &Local) -> (DMatrix<f64>
     let mut hessian = DMatrix::from_row_slice(p, p, &local.information);
     let mut gradient = DVector::from_row_slice(&local.gradient);
     for (i, f) in fitted.iter().enumerate() {
-        let (mean, precision) = f.prior.quadratic();
+        let (mean, precision) = f.prior.quadratic(theta[i]);
         hessian[(i, i)] += precision;
         gradient[i] += precision * (theta[i] - mean);
     }

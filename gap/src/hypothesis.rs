@@ -34,6 +34,13 @@ pub enum Prior {
         /// The standard deviation of the whole.
         std: f64,
     },
+    /// Normal around a mean, and, with [`REVERSED`] of the probability, around its opposite: a sign that is the wrong one.
+    EitherSign {
+        /// The mean, above zero.
+        mean: f64,
+        /// The standard deviation around either.
+        std: f64,
+    },
     /// Uniform between bounds.
     Uniform {
         /// Lower bound.
@@ -42,6 +49,9 @@ pub enum Prior {
         high: f64,
     },
 }
+
+/// Prior probability that the sign of a factor is the wrong one.
+pub const REVERSED: f64 = 0.01;
 
 impl Prior {
     /// −2 log of the density at `value`.
@@ -54,14 +64,18 @@ impl Prior {
         match *self {
             Prior::Normal { mean, std } => normal(mean, std),
             Prior::HalfNormal { std } => normal(0.0, std) - 2.0 * 2.0_f64.ln(),
+            // The two hardly overlap.
+            Prior::EitherSign { mean, std } if value < 0.0 => normal(-mean, std) - 2.0 * REVERSED.ln(),
+            Prior::EitherSign { mean, std } => normal(mean, std) - 2.0 * (1.0 - REVERSED).ln(),
             Prior::Uniform { low, high } => 2.0 * (high - low).ln(),
         }
     }
 
-    /// Mean and precision of its quadratic part, for a Gauss–Newton step; no precision where it is flat.
+    /// Mean and precision of its quadratic part around `value`, for a Gauss–Newton step; no precision where it is flat.
     #[must_use]
-    pub fn quadratic(&self) -> (f64, f64) {
+    pub fn quadratic(&self, value: f64) -> (f64, f64) {
         match *self {
+            Prior::EitherSign { mean, std } => (mean.copysign(value), 1.0 / (std * std)),
             Prior::Normal { mean, std } => (mean, 1.0 / (std * std)),
             Prior::HalfNormal { std } => (0.0, 1.0 / (std * std)),
             Prior::Uniform { low, high } => (0.5 * (low + high), 0.0),

@@ -8,9 +8,9 @@ use parallax_model::effect::{Effect, Place, PlaceKind};
 use parallax_model::plant::{ExtraState, Plant, Residual};
 use parallax_model::system::{OwnParameter, StatedEffect, System};
 
-use crate::equations::EquationsSimulator;
+use crate::equations::{EquationsSimulator, Spread};
 use crate::hypothesis::{EffectAt, Fitted, Hypothesis, Prior, Slot};
-use crate::setup::Setup;
+use crate::setup::{JointScale, Setup};
 
 pub use possible::is_possible;
 
@@ -229,32 +229,38 @@ pub fn simulator<'a>(
     let smoothing = setup.joints.iter().map(|j| j.smoothing).collect();
     let plant = Plant::new(setup.equations.clone(), &effects, residuals, smoothing);
     let slots = hypothesis.fitted.iter().map(|f| f.slot).collect();
-    let std = extra_std(setup, &plant);
+    let extra = extra_spread(setup, &plant);
     EquationsSimulator::new(plant, slots, &setup.experiment, setup.step)
-        .with_extra_std(std)
+        .with_extra_spread(extra)
         .with_noise(&setup.output_noise)
 }
 
 /// How uncertain the states are that effects bring with them, where a stretch of the recording begins.
 #[must_use]
-pub fn extra_std(setup: &Setup, plant: &Plant) -> Vec<f64> {
+pub fn extra_spread(setup: &Setup, plant: &Plant) -> Vec<Spread> {
     plant
         .extra_states()
         .iter()
         .map(|state| match *state {
             // As far as a reading goes in a twentieth of a second.
-            ExtraState::ReadingRate { output, .. } => output_rate(setup, output),
+            ExtraState::ReadingRate { output, .. } => Spread::Fixed(output_rate(setup, output)),
             ExtraState::Reading { output, .. } => {
                 let rate = output_rate(setup, output);
-                (0.05 * rate).min(0.3 * setup.output_scale[output]).max(setup.output_noise[output])
+                let most = 0.3 * setup.output_scale[output];
+                Spread::Fixed((0.05 * rate).min(most).max(setup.output_noise[output]))
             }
             // Anything between all of it one way and all of it the other.
-            ExtraState::Bristles { .. } => 0.6,
-            // As far as the driving force bends a spring that swings in the middle of what can be seen.
-            ExtraState::Deflection { joint, .. } => sizes::deflection(setup, joint).0,
-            ExtraState::DeflectionRate { joint, .. } => sizes::deflection(setup, joint).1,
+            ExtraState::Bristles { .. } => Spread::Fixed(0.6),
+            ExtraState::Deflection { effect, joint } => bent(setup, effect, joint, false),
+            ExtraState::DeflectionRate { effect, joint } => bent(setup, effect, joint, true),
         })
         .collect()
+}
+
+/// A spring inside a joint, or its rate: bent as far as the driving force does, over the joint's range at most.
+fn bent(setup: &Setup, effect: usize, joint: usize, rate: bool) -> Spread {
+    let JointScale { force, inertia, position, .. } = &setup.joints[joint];
+    Spread::Bent { effect, rate, force: *force, inertia: *inertia, most: position.width().max(1e-9) }
 }
 
 /// Root mean square of how fast an output's readings change, in its unit per second.

@@ -302,13 +302,15 @@ impl Posterior {
     }
 }
 
-/// Weighs single effects, no gap and the unknowns; `done` is told of each unknown that was fitted, four at most.
+/// Weighs single effects, of all that were `tried`, no gap and the unknowns; `done` is told of each unknown that was fitted, four at
+/// most.
 #[must_use]
 pub fn weigh(
     setup: &Setup,
     null: &Fit,
     nuisance: &Nuisance,
     mut fits: Vec<Fit>,
+    tried: &[EffectAt],
     options: &Options,
     done: &(dyn Fn(&str) + Sync),
 ) -> Posterior {
@@ -323,7 +325,7 @@ pub fn weigh(
         fits.iter().filter_map(|f| f.hypothesis.effects.first().cloned()).collect();
     let forms = best_forms(&mut fits);
     let (mut forms, count) = (forms, fits.len());
-    let combined = combine::combinations(setup, null, &fits, &all_forms, &judge);
+    let combined = combine::combinations(setup, null, &fits, (&all_forms, tried), &judge);
     let (singles, combined): (Vec<Fit>, Vec<Fit>) =
         combined.into_iter().partition(|fit| fit.hypothesis.effects.len() == 1);
     for single in singles {

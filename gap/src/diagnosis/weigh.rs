@@ -128,7 +128,7 @@ impl Rounds<'_> {
         }
         progress(0.5, "unknown cause");
         let weighed = AtomicUsize::new(0);
-        let mut answers = posterior::weigh(&setup, &null, &nuisance, fits, options, &|label| {
+        let mut answers = posterior::weigh(&setup, &null, &nuisance, fits, &promising, options, &|label| {
             let k = weighed.fetch_add(1, Ordering::Relaxed) + 1;
             progress((0.5 + 0.1 * k as f64).min(1.0), label);
         });

@@ -14,9 +14,6 @@ use crate::statistics::{median, quantile};
 /// Waves over the range of a joint, at least, for a force to be said to repeat: less of one is an arc, as any spring has.
 const LEAST_WAVES: f64 = 1.0;
 
-/// The gain of a command, or the scale of a reading, whose sign is the wrong one.
-const REVERSED: f64 = -1.0;
-
 /// Readings of a contact with a hard stop.
 const CONTACT: f64 = 4.0;
 
@@ -96,9 +93,10 @@ fn size(setup: &Setup, at: &EffectAt, index: usize, spec: &EffectParameter, fitt
             // An angle that turns many times compares with its reading only up to whole turns: a start must be near.
             let wraps = at.place.kind == PlaceKind::Output && setup.experiment.wraps[index].is_some();
             sized(fitted, 0.3, if wraps { &[0.0, 0.3, -0.3, 0.6, -0.6] } else { &[0.0] });
-            // What is wired or counted the other way round.
-            fitted.starts.push(REVERSED);
-            fitted.low = 3.0 * REVERSED;
+            // Or something is wired, or counted, the other way round.
+            fitted.prior = Prior::EitherSign { mean: 1.0, std: 0.3 };
+            fitted.starts.push(-1.0);
+            fitted.low = -3.0;
         }
         Q::Exponent => sized(fitted, 1.5, &[0.0]),
         Q::Share => sized(fitted, 0.05, &[0.2]),
@@ -341,14 +339,6 @@ fn mass(setup: &Setup, joint: usize) -> f64 {
             if most > 0.0 { 1.0 / most } else { 1.0 }
         }
     }
-}
-
-/// Natural size of a spring's deflection and of its rate, for one that swings in the middle of what can be seen.
-pub(super) fn deflection(setup: &Setup, joint: usize) -> (f64, f64) {
-    let scale = &setup.joints[joint];
-    let turns = TAU * 0.3 * HIGHEST / setup.period;
-    let size = scale.force / (turns * turns * scale.inertia * 0.25);
-    (0.5 * size, 0.2 * size * turns)
 }
 
 /// Highest frequency of a spring inside a joint that readings show, in their own frequency.

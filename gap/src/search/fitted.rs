@@ -116,9 +116,14 @@ impl Fit {
     /// it has left the region where the machine is, and what it lacks may not be reached from there.
     #[must_use]
     pub fn is_strained(&self) -> bool {
+        self.shooting_error > INEXACT && self.is_at_bound()
+    }
+
+    /// Whether a calibrated parameter ended on its bound: the data ask for more than the machine is said to allow.
+    #[must_use]
+    pub fn is_at_bound(&self) -> bool {
         let calibrated = |k: &usize| matches!(self.hypothesis.fitted[*k].slot, Slot::Nominal(_));
-        let mut calibrated = (0..self.hypothesis.fitted.len()).filter(calibrated);
-        self.shooting_error > INEXACT && calibrated.any(|k| self.rests(k))
+        (0..self.hypothesis.fitted.len()).filter(calibrated).any(|k| self.rests(k))
     }
 
     /// Whether a parameter of an effect does not differ from its null: it speaks for a form without it.

@@ -49,15 +49,17 @@ const CLOSER: f64 = 0.1;
 
 impl Cause {
     /// The same, a limit so many times closer to the middle, or a supply so many times stiffer: a motion may be smaller than the
-    /// machine's range, and a command larger than the typical one.
-    pub(crate) fn closer(mut self, times: u64) -> Self {
+    /// machine's range, and a command, or its rate, than the typical one.
+    pub(crate) fn closer(mut self, system: &System, times: u64) -> Self {
         use Kind::*;
-        let limits = match self.kind {
-            EndStop | EndStopLow | QuadraticStop | SupplySag => 1,
-            SensorSaturation => 2,
-            _ => 0,
+        let (limits, middle) = match (self.kind, self.place) {
+            (Saturation, Place::Input(i)) => (2, system.inputs[i].rest),
+            (EndStop | EndStopLow | QuadraticStop | SupplySag | RateLimit, _) => (1, 0.0),
+            (SensorSaturation, _) => (2, 0.0),
+            _ => (0, 0.0),
         };
-        self.p.iter_mut().take(limits).for_each(|p| *p *= (1.0 - CLOSER).powi(times as i32));
+        let share = (1.0 - CLOSER).powi(times as i32);
+        self.p.iter_mut().take(limits).for_each(|p| *p = middle + share * (*p - middle));
         self
     }
 }

@@ -211,7 +211,7 @@ fn case(plan: &Plan, seed: u64) -> Result<Case, TruthError> {
         let first = effect::draw(system, kind, place, duration, noise, &mut rng);
         let again = (0..REDRAWS).map(|k| {
             let mut rng = stream(seed, 400 + 100 * member + k);
-            effect::draw(system, kind, place, duration, noise, &mut rng).closer(k)
+            effect::draw(system, kind, place, duration, noise, &mut rng).closer(system, k)
         });
         let both = |cause: &Cause| beside.is_none_or(|other| both_act(&alone(vec![other, *cause])));
         let mut all = std::iter::once(first).chain(again);

@@ -1,0 +1,46 @@
+//! How far the states that effects bring with them may be from rest where a stretch of a recording begins.
+
+use parallax_model::plant::Plant;
+
+/// Least share of the inertia on either side of a spring for which its swing is told.
+const LEAST_SHARE: f64 = 0.02;
+
+/// Rate of a deflection as a share of that of a free swing as wide as it: a force that bends a spring rarely does so as fast.
+const SWING: f64 = 0.5;
+
+/// The standard deviation of one such state, at the start of a stretch.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Spread {
+    /// The same whatever θ is, in the unit of the state.
+    Fixed(f64),
+    /// A spring inside a joint, bent as far as a force bends it.
+    Bent {
+        /// Index of the effect among the plant's.
+        effect: usize,
+        /// Whether it is the rate of the deflection (rad/s or m/s), and not the deflection itself (rad or m).
+        rate: bool,
+        /// The force (N m or N).
+        force: f64,
+        /// The joint's inertia (kg m² or kg).
+        inertia: f64,
+        /// As far as it may be bent at most (rad or m).
+        most: f64,
+    },
+}
+
+impl Spread {
+    /// The standard deviation where effects have these extra parameters.
+    pub(super) fn at(&self, plant: &Plant, extra: &[f64]) -> f64 {
+        match *self {
+            Spread::Fixed(std) => std,
+            Spread::Bent { effect, rate, force, inertia, most } => {
+                let own = plant.own(&plant.effects()[effect], extra);
+                let &[stiffness, _, ratio] = &own[..] else { return most };
+                let ratio = ratio.clamp(LEAST_SHARE, 1.0 - LEAST_SHARE);
+                let bent = (force / stiffness.max(0.0)).min(most);
+                let turns = (force / bent / (inertia * ratio * (1.0 - ratio))).sqrt();
+                if rate { SWING * bent * turns } else { bent }
+            }
+        }
+    }
+}
