@@ -113,6 +113,7 @@ impl Line {
     pub(super) fn hang_up(&mut self) {
         // It can only fail when the other side is gone already.
         let _ = self.stream.shutdown(Shutdown::Both);
+        self.partial.clear();
         self.closed = true;
     }
 
@@ -120,7 +121,9 @@ impl Line {
     /// noticed, and reported, where it is read.
     pub(super) fn send(&mut self, message: &impl Serialize) {
         if self.waiting.len() > MOST_WAITING {
-            // Whoever has read nothing for so long hangs, and is told all that counts when it is started again.
+            // Whoever has read nothing for so long hangs. It must not go on without what it was not told: it finds the line
+            // closed, ends, and is told all that counts when it is started again.
+            self.hang_up();
             return;
         }
         match serde_json::to_writer(&mut self.waiting, message) {
@@ -149,22 +152,22 @@ impl Line {
     ///
     /// # Errors
     ///
-    /// When a line is not one of ours.
+    /// When a line is not one of ours. What came before it was given by an earlier call; what comes behind it, the next one gives.
     pub(super) fn receive<T: DeserializeOwned>(
         &mut self,
         milliseconds: i32,
     ) -> Result<Vec<T>, serde_json::Error> {
         let mut messages = Vec::new();
         self.flush();
-        if self.closed || !readable(&[self.fd()], milliseconds) {
-            return Ok(messages);
-        }
-        let mut bytes = [0; 4096];
-        match self.stream.read(&mut bytes) {
-            Ok(0) => self.closed = true,
-            Ok(count) => self.partial.extend_from_slice(&bytes[..count]),
-            Err(e) if matches!(e.kind(), io::ErrorKind::Interrupted | io::ErrorKind::WouldBlock) => {}
-            Err(_) => self.closed = true,
+        let known = if self.partial.contains(&b'\n') { 0 } else { milliseconds };
+        if !self.closed && readable(&[self.fd()], known) {
+            let mut bytes = [0; 4096];
+            match self.stream.read(&mut bytes) {
+                Ok(0) => self.closed = true,
+                Ok(count) => self.partial.extend_from_slice(&bytes[..count]),
+                Err(e) if matches!(e.kind(), io::ErrorKind::Interrupted | io::ErrorKind::WouldBlock) => {}
+                Err(_) => self.closed = true,
+            }
         }
         if self.partial.len() > LONGEST && !self.partial.contains(&b'\n') {
             // Nobody of ours says so much at once.
@@ -172,8 +175,12 @@ impl Line {
             self.partial.clear();
         }
         while let Some(end) = self.partial.iter().position(|byte| *byte == b'\n') {
-            let line: Vec<u8> = self.partial.drain(..=end).collect();
-            messages.push(serde_json::from_slice(&line)?);
+            let message = serde_json::from_slice(&self.partial[..end]);
+            if message.is_err() && !messages.is_empty() {
+                break;
+            }
+            self.partial.drain(..=end);
+            messages.push(message?);
         }
         Ok(messages)
     }
@@ -219,8 +226,25 @@ mod tests {
             assert_eq!(here.receive::<Answer>(0).unwrap(), []);
         }
         assert!(got.iter().zip(0..).all(|(order, next)| *order == said(next)));
-        // For ever is too long.
+        // For ever is too long: who was not told all must not go on as if.
         (0..50_000).for_each(|next| here.send(&said(next)));
-        assert!(here.waiting.len() < 2 * MOST_WAITING && !here.closed());
+        assert!(here.waiting.len() < 2 * MOST_WAITING && here.closed());
+        while !there.closed() {
+            there.receive::<Order>(1000).unwrap();
+        }
+    }
+
+    #[test]
+    fn a_line_that_is_no_message_takes_none_of_the_others_along() {
+        let (mut here, there) = UnixStream::pair().unwrap();
+        let mut there = Line::new(there);
+        let order = serde_json::to_string(&Order::Connect).unwrap();
+        here.write_all(format!("{order}\n{order}\n{{}} nonsense\n{order}\n").as_bytes()).unwrap();
+        drop(here);
+        assert_eq!(there.receive::<Order>(1000).unwrap(), [Order::Connect, Order::Connect]);
+        assert!(there.receive::<Order>(1000).is_err());
+        assert_eq!(there.receive::<Order>(1000).unwrap(), [Order::Connect]);
+        assert_eq!(there.receive::<Order>(1000).unwrap(), []);
+        assert!(there.closed());
     }
 }

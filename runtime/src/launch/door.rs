@@ -3,6 +3,7 @@
 //! One JSON object a line, as on the lines to the nodes. The launcher passes a wish on to its node and the answer back; a
 //! caller that is slow, silent or gone holds nobody up.
 
+use std::collections::BTreeMap;
 use std::io;
 use std::os::fd::{AsRawFd, RawFd};
 use std::os::unix::fs::PermissionsExt;
@@ -41,6 +42,8 @@ pub(super) struct Door {
     listener: UnixListener,
     callers: Vec<Caller>,
     next: u64,
+    /// What has been asked of which node, by its number, and is not answered yet: whoever asked may be gone meanwhile.
+    asked: BTreeMap<(usize, u64), Wish>,
     /// By node: what has been set in it so far, to be set again after a restart.
     kept: Vec<Vec<Assignment>>,
 }
@@ -51,8 +54,6 @@ struct Caller {
     by: By,
     /// The node and the number of what is under way.
     pending: Option<(usize, u64)>,
-    /// What is to be kept if it is done.
-    wish: Option<Wish>,
 }
 
 /// Something to be passed on to a node.
@@ -75,7 +76,8 @@ impl Door {
         };
         let io = |source| ChannelError::Io { what: "cannot make the socket", path: path.clone(), source };
         let listener = make().map_err(io)?;
-        Ok(Self { listener, callers: Vec::new(), next: 1, kept: vec![Vec::new(); nodes] })
+        let (callers, asked) = (Vec::new(), BTreeMap::new());
+        Ok(Self { listener, callers, next: 1, asked, kept: vec![Vec::new(); nodes] })
     }
 
     /// What to wait for.
@@ -109,7 +111,7 @@ impl Door {
                         let id = self.next;
                         self.next += 1;
                         caller.pending = Some((node, id));
-                        caller.wish = Some(wish.clone());
+                        self.asked.insert((node, id), wish.clone());
                         passed.push(Passed { node, id, by: caller.by, wish });
                     }
                     Err(reason) => caller.reply(&Err(reason)),
@@ -122,22 +124,23 @@ impl Door {
 
     /// A node has answered: its caller is told, if it is still there.
     pub(super) fn answered(&mut self, node: usize, id: u64, told: Reply) {
-        let Some(caller) = self.callers.iter_mut().find(|caller| caller.pending == Some((node, id))) else {
-            return;
-        };
-        caller.pending = None;
-        if let (Ok(_), Some(Wish::Set(assignments))) = (&told, caller.wish.take()) {
+        if let (Ok(_), Some(Wish::Set(assignments))) = (&told, self.asked.remove(&(node, id))) {
             for assignment in assignments {
                 let kept = &mut self.kept[node];
                 kept.retain(|other| other.parameter != assignment.parameter);
                 kept.push(assignment);
             }
         }
-        caller.reply(&told);
+        let mut callers = self.callers.iter_mut();
+        if let Some(caller) = callers.find(|caller| caller.pending == Some((node, id))) {
+            caller.pending = None;
+            caller.reply(&told);
+        }
     }
 
     /// A node is gone: what was asked of it will not be answered.
     pub(super) fn gone(&mut self, node: usize, name: &str) {
+        self.asked.retain(|(asked, _), _| *asked != node);
         for caller in &mut self.callers {
             if caller.pending.is_some_and(|(asked, _)| asked == node) {
                 caller.pending = None;
@@ -162,7 +165,7 @@ impl Caller {
             return None;
         }
         stream.set_write_timeout(Some(WRITING)).ok()?;
-        Some(Self { line: Line::new(stream), by, pending: None, wish: None })
+        Some(Self { line: Line::new(stream), by, pending: None })
     }
 
     fn reply(&mut self, reply: &Reply) {
@@ -303,4 +306,38 @@ fn ask(run: Option<&str>, node: &str, wish: Wish, patience: Duration) -> Result<
 
 fn connect(run: &Path) -> io::Result<UnixStream> {
     UnixStream::connect(run.join(SOCKET))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_set_is_set_again_even_if_nobody_waited_for_the_answer() {
+        let folder = tempfile::tempdir().unwrap();
+        let listener = UnixListener::bind(folder.path().join(SOCKET)).unwrap();
+        listener.set_nonblocking(true).unwrap();
+        let (callers, asked) = (Vec::new(), BTreeMap::new());
+        let mut door = Door { listener, callers, next: 1, asked, kept: vec![Vec::new()] };
+        let rated = Assignment { parameter: "rated".into(), value: 2.0, unit: None };
+        let ask = |door: &mut Door, value: f64| {
+            let mut line = Line::new(connect(folder.path()).unwrap());
+            let wish = Wish::Set(vec![Assignment { value, ..rated.clone() }]);
+            line.send(&Call { node: "motor".into(), wish });
+            // The launcher hears of it, and then the caller has lost patience.
+            door.hear(|_| Ok(0)).into_iter().chain(door.hear(|_| Ok(0))).next().unwrap().id
+        };
+        let told = || Ok(Told { step: 7, ..Told::default() });
+        let id = ask(&mut door, 2.0);
+        assert!(door.hear(|_| Ok(0)).is_empty() && door.callers.is_empty());
+        door.answered(0, id, told());
+        let Some(Wish::Set(again)) = door.again(0) else { panic!("it was set") };
+        assert_eq!(again, [Assignment { value: 2.0, ..rated.clone() }]);
+        // What a node ended with unanswered was not set.
+        let id = ask(&mut door, 3.0);
+        door.gone(0, "motor");
+        door.answered(0, id, told());
+        let Some(Wish::Set(again)) = door.again(0) else { panic!("it was set") };
+        assert_eq!(again, [Assignment { value: 2.0, ..rated }]);
+    }
 }

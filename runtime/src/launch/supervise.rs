@@ -20,6 +20,9 @@ const BETWEEN: Duration = Duration::from_secs(1);
 /// How long a node that has said how it ended may take to be gone.
 const ENDING: Duration = Duration::from_millis(500);
 
+/// How long the others may wait for the system to say how a node died whose line has closed: it is about to.
+const MOMENT: Duration = Duration::from_millis(5);
+
 /// What becomes of a node that ended while the run goes on.
 #[derive(Debug, Clone, Copy)]
 enum Next {
@@ -45,7 +48,7 @@ impl Crew<'_> {
                 }
                 None => self.signs(node, clock),
             },
-            State::Down(at) if Instant::now() >= at => self.start_again(node, clock),
+            State::Down(at) if Instant::now() >= at => self.start_again(node, at, clock),
             State::Coming(since) => self.comes(node, since, clock),
             State::Down(_) | State::Over => None,
         }
@@ -64,7 +67,7 @@ impl Crew<'_> {
             }
         }
         if worker.line.closed() {
-            worker.join(Duration::from_millis(500));
+            worker.join(MOMENT);
         }
         let exit = worker.death()?;
         Some((condemned.take().map_or(exit, |silent| Exit::Hung { silent }), None, false))
@@ -128,19 +131,23 @@ impl Crew<'_> {
         Next::Restart(settings.restart_delay.saturating_mul(factor).min(settings.restart_delay_max))
     }
 
-    fn start_again(&mut self, node: usize, clock: WallClock) -> Option<End> {
-        self.members[node].restarts += 1;
+    /// Starts a node again that was to be from `at` on. The others are looked after while the earlier one takes its time to end.
+    fn start_again(&mut self, node: usize, at: Instant, clock: WallClock) -> Option<End> {
         // One that failed has waited so that others could take what it had sent. Its ports are its own as long as it lives.
         let worker = &mut self.members[node].worker;
         worker.hang_up();
-        if !worker.join(ENDING) {
-            worker.kill();
-            if !worker.join(ENDING) {
+        if !worker.join(MOMENT) {
+            if at.elapsed() > 2 * ENDING {
                 let reason = "the earlier one does not end, and a thread cannot be ended".into();
                 self.members[node].settings.restart = Restart::Never;
                 return self.ended(node, Exit::Failed { reason }, false, clock);
             }
+            if at.elapsed() > ENDING {
+                worker.kill();
+            }
+            return None;
         }
+        self.members[node].restarts += 1;
         // And those of one that died are its own until somebody removes them.
         self.site.endpoint.remove_dead();
         match (self.site.hire)(node, false) {
@@ -196,7 +203,7 @@ impl Crew<'_> {
         }
         let worker = &mut self.members[node].worker;
         if failed.is_none() && worker.line.closed() {
-            worker.join(Duration::from_millis(100));
+            worker.join(MOMENT);
         }
         let failed = failed.or_else(|| worker.death()).or_else(|| {
             (since.elapsed() > self.patience).then(|| {
