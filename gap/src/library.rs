@@ -249,7 +249,7 @@ pub fn extra_std(setup: &Setup, plant: &Plant) -> Vec<f64> {
                 (0.05 * rate).min(0.3 * setup.output_scale[output]).max(setup.output_noise[output])
             }
             // Anything between all of it one way and all of it the other.
-            ExtraState::Bristles { .. } => 0.6,
+            ExtraState::Bristles { .. } | ExtraState::Slip { .. } => 0.6,
             // As far as the driving force bends a spring that swings in the middle of what can be seen.
             ExtraState::Deflection { joint, .. } => sizes::deflection(setup, joint).0,
             ExtraState::DeflectionRate { joint, .. } => sizes::deflection(setup, joint).1,
