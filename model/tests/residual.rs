@@ -56,9 +56,8 @@ fn a_friction_that_changes_is_coulombs_while_it_does_not() {
 #[test]
 fn one_bristle_is_dahls_friction_and_several_add_up() {
     let bristles = |deflection: f64| Feature::Bristles { deflection };
-    let remembering = |features: Vec<Feature>| {
-        plant(&[], vec![Residual { target: Target::Hysteresis(0), features }])
-    };
+    let remembering =
+        |features: Vec<Feature>| plant(&[], vec![Residual { target: Target::Hysteresis(0), features }]);
     let dahl = plant(&[Effect::CoulombDahl], Vec::new());
     let (one, two) = (remembering(vec![bristles(0.05)]), remembering(vec![bristles(0.05), bristles(0.2)]));
     for (velocity, bent) in [(-1.0, 0.3), (0.2, -0.9), (0.0, 0.5)] {

@@ -3,7 +3,7 @@
 //! No entry of the library is either, and each is close enough to one that is to pass for it: friction that wears off is dry
 //! friction on average, hysteresis of whatever kind is friction that builds up over a way. As bumps over time, and as a sum
 //! of bristles of many lengths (a Maxwell slip model with smooth elements: Al-Bender, Lampaert & Swevers 2005, "The generalized
-//! Maxwell-slip model"), they need no form, and contain those of the library.
+//! Maxwell-slip model"), they need no form, and contain dry friction that is constant, or nearly one that builds up as Dahl's does.
 
 use parallax_model::effect::Effect;
 use parallax_model::plant::{Feature, Residual, Target, Variable};
@@ -37,10 +37,14 @@ enum Kind {
 /// Dry friction of unknown kinds in the place of the single effect of `known`, [dry friction](is_dry), from where it is.
 #[must_use]
 pub fn in_place_of(setup: &Setup, known: &Fit) -> Vec<Fit> {
-    let place = known.hypothesis.effects.first().map(|at| &at.place);
-    let Some(joint) = place.and_then(|place| library::place_index(setup, place)) else { return Vec::new() };
-    let kinds = [Kind::Changing, Kind::Remembering].into_par_iter();
+    let Some(at) = known.hypothesis.effects.first() else { return Vec::new() };
+    let Some(joint) = library::place_index(setup, &at.place) else { return Vec::new() };
+    // In the place of a friction that depends on the speed alone, bristles make up for what its curve near standstill is off by.
+    let remembers = at.effect == Effect::CoulombDahl;
+    let kinds = [Some(Kind::Changing), remembers.then_some(Kind::Remembering)];
     kinds
+        .into_par_iter()
+        .flatten()
         .filter(|_| !setup.stop.leaves_out(|| UNKNOWN.into()))
         .map(|kind| in_place(setup, known, joint, kind))
         .collect()
