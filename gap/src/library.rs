@@ -250,7 +250,7 @@ pub fn extra_spread(setup: &Setup, plant: &Plant) -> Vec<Spread> {
                 Spread::Fixed((0.05 * rate).min(most).max(setup.output_noise[output]))
             }
             // Anything between all of it one way and all of it the other.
-            ExtraState::Bristles { .. } => Spread::Fixed(0.6),
+            ExtraState::Bristles { .. } | ExtraState::Slip { .. } => Spread::Fixed(0.6),
             ExtraState::Deflection { effect, joint } => bent(setup, effect, joint, false),
             ExtraState::DeflectionRate { effect, joint } => bent(setup, effect, joint, true),
         })

@@ -356,6 +356,11 @@ pub fn weigh(
 
     // The unknowns stand alone and on top of the leading effect: if the effect adds nothing to them, it is no cause.
     let alone = residual_on(setup, null, null, &judge, &|| done("unknown cause"));
+    // So does friction of an unknown kind, in the place of the dry friction that explains most.
+    let helps = |fit: &&Fit| judge.cost(fit) < judge.cost(null) - EVEN;
+    let dry = fits.iter().filter(|fit| unknown::friction::is_dry(fit)).find(helps);
+    let frictions = dry.map_or_else(Vec::new, |fit| unknown::friction::in_place_of(setup, fit));
+    let alone = frictions.into_iter().chain(alone).min_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
     let beside = || done("unknown beside the leading cause");
     let together = fits.first().and_then(|best| residual_on(setup, null, best, &judge, &beside));
 

@@ -374,26 +374,42 @@ pub fn fit_part(setup: &Setup, null: &Fit, hypothesis: Hypothesis, whole: &Fit) 
     }
 }
 
-/// Fits a hypothesis that extends another one, by innovation likelihood from a given start.
+/// Where a fit with a residual begins by either loss, and how many steps it goes.
+#[derive(Clone, Debug)]
+pub struct Begin {
+    /// Parameters for the innovation likelihood.
+    pub innovations: Vec<f64>,
+    /// Parameters for short windows; where these left a fit may differ from where the innovations did.
+    pub windows: Vec<f64>,
+}
+
+/// Fits a hypothesis with a residual near another one (`base`), from the best of the starts, with at most so many steps by the innovation
+/// likelihood; the windows' states have to follow, which takes more.
 #[must_use]
 pub fn fit_from(
     setup: &Setup,
     base: &Fit,
     hypothesis: Hypothesis,
     residuals: Vec<Residual>,
-    start: &[f64],
+    starts: &[Begin],
+    iterations: usize,
 ) -> Fit {
     let simulator = library::simulator(setup, &hypothesis, residuals.clone());
-    // Weights enter linearly, so few steps reach the minimum.
     let known = known_from(base);
-    let innovation = fit(&simulator, &hypothesis, &setup.train, &setup.noise, known, start, FEW);
-    // From where the windows left the base, which may differ from where the innovations did.
-    let mut from = start.to_vec();
-    from[..base.shooting.theta.len()].copy_from_slice(&base.shooting.theta);
-    let windows = windows(setup, &simulator, &from, &base.innovation.pass);
-    // The windows' states have to follow, which takes more.
-    let shot = fit_windows(setup, &simulator, &hypothesis, &windows, &from, 3 * FEW);
-    Fit::assemble(setup, hypothesis, residuals, innovation, shot)
+    let by_innovations = |start: &Begin| {
+        fit(&simulator, &hypothesis, &setup.train, &setup.noise, known, &start.innovations, iterations)
+    };
+    let by_windows = |start: &Begin| {
+        let windows = windows(setup, &simulator, &start.windows, &base.innovation.pass);
+        fit_windows(setup, &simulator, &hypothesis, &windows, &start.windows, 3 * iterations)
+    };
+    let innovation =
+        starts.iter().map(by_innovations).min_by(|a, b| a.evidence_cost.total_cmp(&b.evidence_cost));
+    let shot = starts.iter().map(by_windows).min_by(|a, b| a.cost.total_cmp(&b.cost));
+    match innovation.zip(shot) {
+        Some((innovation, shot)) => Fit::assemble(setup, hypothesis, residuals, innovation, shot),
+        None => base.clone(),
+    }
 }
 
 /// Puts the calibrated parameters where the null model's fit left them.

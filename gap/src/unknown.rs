@@ -1,7 +1,10 @@
 //! Unknowns: a flexible residual force and a flexible residual reading, which compete with the named effects.
 //!
 //! Sums of bumps over state, command and time with normal priors on their weights: finite-dimensional Gaussian
-//! processes, whose evidence charges them for their freedom (Kennedy & O'Hagan 2001 call such a term discrepancy).
+//! processes, whose evidence charges them for their freedom (Kennedy & O'Hagan 2001 call such a term discrepancy). Dry friction
+//! of another kind than the library's is one as well ([`friction`]).
+
+pub mod friction;
 
 use nalgebra::{DMatrix, DVector};
 use parallax_model::plant::{Feature, Residual, Target, Variable};
@@ -10,9 +13,10 @@ use crate::equations::MOST_VARIABLES;
 use crate::hypothesis::{Fitted, Prior, Slot};
 use crate::innovation::walk;
 use crate::library;
-use crate::search::{Fit, fit_from};
+use crate::search::{Begin, Fit, fit_from};
 use crate::setup::Setup;
 use crate::statistics::quantile;
+use crate::windows::FEW;
 
 /// Which unknown a residual stands for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,27 +53,28 @@ fn features(setup: &Setup, null: &Fit, unknown: Unknown, count: usize) -> Vec<Fe
     let n = setup.equations.system().states.len();
     let pass = &null.innovation.pass;
     let mut features = Vec::new();
-    let mut bumps = |of: Variable, low: f64, high: f64, count: usize| {
-        let width = (high - low) / (count - 1) as f64;
-        if width.is_finite() && width > 0.0 {
-            features.extend((0..count).map(|k| Feature::Bump { of, centre: low + width * k as f64, width }));
-        }
-    };
     for state in 0..n {
         // Effects that are part of the system have states of their own behind its own.
         let own = pass.state.iter().skip(state).step_by(pass.states().max(1));
         let mut values: Vec<f64> = own.copied().collect();
         let (low, high) = (quantile(&mut values, 0.01), quantile(&mut values, 0.99));
-        bumps(Variable::State(state), low, high, count);
+        features.extend(bumps(Variable::State(state), low, high, count));
     }
     if unknown == Unknown::Force {
         for (input, range) in setup.input_range.iter().enumerate() {
-            bumps(Variable::Input(input), range.low, range.high, count);
+            features.extend(bumps(Variable::Input(input), range.low, range.high, count));
         }
     }
     let (from, to) = setup.experiment.own_span();
-    bumps(Variable::Time, from, to, 2 * count);
+    features.extend(bumps(Variable::Time, from, to, 2 * count));
     features
+}
+
+/// Triangles that overlap by half, from end to end of a range; their sum is 1 within it.
+fn bumps(of: Variable, low: f64, high: f64, count: usize) -> Vec<Feature> {
+    let width = (high - low) / (count - 1) as f64;
+    let count = if width.is_finite() && width > 0.0 { count } else { 0 };
+    (0..count).map(|k| Feature::Bump { of, centre: low + width * k as f64, width }).collect()
 }
 
 /// A residual and the size of its weights, as a share of what it is added to.
@@ -124,6 +129,7 @@ pub fn choose(setup: &Setup, null: &Fit, base: &Fit, unknown: Unknown) -> Choice
 fn natural_size(setup: &Setup, target: Target) -> f64 {
     match target {
         Target::State(state) => setup.state_rate[state],
+        Target::Friction(joint) | Target::Hysteresis(joint) => setup.joints[joint].force,
         Target::Output(output) => 0.3 * setup.output_scale[output].max(setup.output_noise[output]),
     }
 }
@@ -144,7 +150,10 @@ pub fn fit_unknown(setup: &Setup, null: &Fit, base: &Fit, choice: Choice) -> Fit
             weight += 1;
         }
     }
-    fit_from(setup, base, hypothesis, residuals, &start)
+    let mut by_windows = start.clone();
+    by_windows[..base.shooting.theta.len()].copy_from_slice(&base.shooting.theta);
+    // Weights enter linearly, so few steps reach the minimum.
+    fit_from(setup, base, hypothesis, residuals, &[Begin { innovations: start, windows: by_windows }], FEW)
 }
 
 /// Derivatives of a fit's whitened innovations by the weights of an unknown, all zero.

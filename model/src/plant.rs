@@ -95,7 +95,7 @@ impl Plant {
             feeds: feeds(own.effect, own.index),
         }));
         let extra = first + residuals.iter().map(|r| r.features.len()).sum::<usize>();
-        let extra_states = states::of(&bound);
+        let extra_states = states::of(&bound, &residuals);
         Plant {
             equations,
             effects: bound,

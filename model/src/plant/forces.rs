@@ -4,7 +4,7 @@
 //! unit of force does to the accelerations. Solving these few linear equations is right for coupled joints as well
 //! (Featherstone, "Rigid Body Dynamics Algorithms", section 6.1: B is the inverse of the joint-space inertia).
 
-use super::{BoundEffect, ExtraState, Plant};
+use super::{BoundEffect, ExtraState, Plant, Residual, Target};
 use crate::Scalar;
 use crate::effect::{Effect, JointMotion, PlaceKind};
 use crate::system::{Entry, JointValues, Point};
@@ -77,10 +77,31 @@ impl Plant {
         let mut out = Forces { forces: Vec::new(), deflections: Vec::new() };
         let at_joints: Vec<(usize, &BoundEffect)> =
             self.effects.iter().enumerate().filter(|(_, b)| b.kind == PlaceKind::Joint).collect();
-        if at_joints.is_empty() {
+        if at_joints.is_empty() && !self.residuals.iter().any(Residual::is_force) {
             return out;
         }
         let lets = self.equations.lets(point, &[]);
+        let mut first = self.first_weight;
+        for (k, residual) in self.residuals.iter().enumerate() {
+            let weights = &extra[first..first + residual.features.len()];
+            first += residual.features.len();
+            let force = match residual.target {
+                Target::Friction(joint) => {
+                    let velocity = self.equations.joint(joint, point, &lets).velocity;
+                    let direction = (velocity / self.smoothing[joint]).tanh();
+                    (joint, -(residual.value(weights, point) * direction))
+                }
+                Target::Hysteresis(joint) => {
+                    let bent = self.extra_states.iter().zip(states).filter(
+                        |(state, _)| matches!(state, ExtraState::Slip { residual, .. } if *residual == k),
+                    );
+                    let force = weights.iter().zip(bent);
+                    (joint, force.fold(T::constant(0.0), |sum, (weight, (_, bent))| sum - *weight * *bent))
+                }
+                Target::State(_) | Target::Output(_) => continue,
+            };
+            out.forces.push(force);
+        }
         let mut masses: Vec<(usize, T)> = Vec::new();
         let mut springs: Vec<(usize, &BoundEffect, JointValues<T>)> = Vec::new();
         for (k, b) in at_joints {

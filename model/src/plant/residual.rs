@@ -35,6 +35,12 @@ pub enum Feature {
         /// Phase (rad).
         phase: f64,
     },
+    /// How far bristles are bent, as a share of what they bend at most: an [`ExtraState`](super::ExtraState) that only a
+    /// [`Target::Hysteresis`] has.
+    Bristles {
+        /// Over how long a way they bend, in the joint's unit.
+        deflection: f64,
+    },
 }
 
 /// What a residual is added to.
@@ -44,6 +50,10 @@ pub enum Target {
     State(usize),
     /// A reading, by index.
     Output(usize),
+    /// The dry friction of a joint, by index: the force against the direction of its motion.
+    Friction(usize),
+    /// The force of bristles against the motion of a joint, by index.
+    Hysteresis(usize),
 }
 
 /// A weighted sum of features, added somewhere.
@@ -56,6 +66,11 @@ pub struct Residual {
 }
 
 impl Residual {
+    /// Whether it is a force on a joint.
+    pub(super) fn is_force(&self) -> bool {
+        matches!(self.target, Target::Friction(_) | Target::Hysteresis(_))
+    }
+
     /// The sum at a point.
     pub(super) fn value<T: Scalar>(&self, weights: &[T], point: &Point<'_, T>) -> T {
         self.features
@@ -73,6 +88,8 @@ impl Feature {
                 (-distance + 1.0).max(T::constant(0.0))
             }
             Feature::Wave { of, count, phase } => (of.value(point) * count + phase).sin(),
+            // Its joint reads the state.
+            Feature::Bristles { .. } => T::constant(0.0),
         }
     }
 }

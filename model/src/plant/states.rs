@@ -1,7 +1,7 @@
 //! States that effects bring with them, and states that effects hold within bounds.
 
 use super::forces::Forces;
-use super::{BoundEffect, Plant};
+use super::{BoundEffect, Feature, Plant, Residual, Target};
 use crate::Scalar;
 use crate::effect::{Effect, PlaceKind};
 use crate::system::{Point, Values};
@@ -33,6 +33,15 @@ pub enum ExtraState {
         /// Index of the joint.
         joint: usize,
     },
+    /// How far the bristles of a residual's [`Feature::Bristles`] are bent, as [`ExtraState::Bristles`] are.
+    Slip {
+        /// Index among the plant's residuals.
+        residual: usize,
+        /// Index among its features.
+        feature: usize,
+        /// Index of the joint.
+        joint: usize,
+    },
     /// How far the far side of a spring is ahead of its joint, in the joint's unit.
     Deflection {
         /// Index among the plant's effects.
@@ -56,8 +65,8 @@ const INSTANT: f64 = 1e-4;
 /// A deflection that is none, so that nothing is divided by nothing.
 const LEAST: f64 = 1e-12;
 
-/// The states that these effects bring.
-pub(super) fn of(effects: &[BoundEffect]) -> Vec<ExtraState> {
+/// The states that these effects and residuals bring.
+pub(super) fn of(effects: &[BoundEffect], residuals: &[Residual]) -> Vec<ExtraState> {
     let mut states = Vec::new();
     for (effect, bound) in effects.iter().enumerate() {
         match bound.effect {
@@ -72,6 +81,12 @@ pub(super) fn of(effects: &[BoundEffect]) -> Vec<ExtraState> {
                 ExtraState::DeflectionRate { effect, joint: bound.index },
             ]),
             _ => {}
+        }
+    }
+    for (k, residual) in residuals.iter().enumerate() {
+        if let Target::Hysteresis(joint) = residual.target {
+            let slip = |feature| ExtraState::Slip { residual: k, feature, joint };
+            states.extend((0..residual.features.len()).map(slip));
         }
     }
     states
@@ -109,6 +124,7 @@ impl Plant {
                 self.along(output, &plain, &values.derivatives)
             }
             ExtraState::Bristles { .. }
+            | ExtraState::Slip { .. }
             | ExtraState::Deflection { .. }
             | ExtraState::DeflectionRate { .. } => 0.0,
         }));
@@ -125,7 +141,9 @@ impl Plant {
             ExtraState::ReadingRate { output, .. } => {
                 format!("{}_shown_rate_{k}", system.outputs[output].name)
             }
-            ExtraState::Bristles { joint, .. } => format!("{}_bristles_{k}", system.joints[joint].name),
+            ExtraState::Bristles { joint, .. } | ExtraState::Slip { joint, .. } => {
+                format!("{}_bristles_{k}", system.joints[joint].name)
+            }
             ExtraState::Deflection { joint, .. } => format!("{}_deflection_{k}", system.joints[joint].name),
             ExtraState::DeflectionRate { joint, .. } => {
                 format!("{}_deflection_rate_{k}", system.joints[joint].name)
@@ -211,13 +229,16 @@ impl Plant {
                 }
                 ExtraState::ReadingRate { .. } => bent,
                 ExtraState::Bristles { effect, joint } => {
-                    let nominal = Point { states: &point.states[..n], ..*point };
-                    let velocity = self.equations.joint(joint, &nominal, &values.lets).velocity;
-                    // Over a deflection that is passed within a step the force turns within a step.
-                    let passed = velocity.abs() * self.step(extra);
-                    let deflection =
-                        self.own(&self.effects[effect], extra)[1].max(passed).max(T::constant(LEAST));
-                    (velocity - velocity.abs() * point.states[n + k]) / deflection
+                    let deflection = self.own(&self.effects[effect], extra)[1];
+                    self.bending(joint, (deflection, point.states[n + k]), point, extra, values)
+                }
+                ExtraState::Slip { residual, feature, joint } => {
+                    let Feature::Bristles { deflection } = self.residuals[residual].features[feature] else {
+                        derivatives.push(T::constant(0.0));
+                        continue;
+                    };
+                    let bristles = (T::constant(deflection), point.states[n + k]);
+                    self.bending(joint, bristles, point, extra, values)
                 }
                 ExtraState::Deflection { .. } => point.states[n + k + 1],
                 ExtraState::DeflectionRate { .. } => {
@@ -227,5 +248,22 @@ impl Plant {
             };
             derivatives.push(rate);
         }
+    }
+
+    /// How fast bristles bend that are `bent` so far, over a way of `deflection`.
+    fn bending<T: Scalar>(
+        &self,
+        joint: usize,
+        (deflection, bent): (T, T),
+        point: &Point<'_, T>,
+        extra: &[T],
+        values: &Values<T>,
+    ) -> T {
+        let n = self.equations.system().states.len();
+        let nominal = Point { states: &point.states[..n], ..*point };
+        let velocity = self.equations.joint(joint, &nominal, &values.lets).velocity;
+        // Over a deflection that is passed within a step the force turns within a step.
+        let passed = velocity.abs() * self.step(extra);
+        (velocity - velocity.abs() * bent) / deflection.max(passed).max(T::constant(LEAST))
     }
 }
