@@ -141,9 +141,9 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
     }
     let mut best: Option<(f64, f64, Setup, Look)> = None;
     let mut delay = of_all(base, place);
-    // Short times under a model that leaves nothing else are as their responses say, in proportion; of all of the log, as most of
-    // what speaks for them lies in how much else scatters.
-    if fit.shooting_error <= INEXACT && last.late.spread < unit && last.fitted > WORTH_A_LOOK {
+    // Times that are short beside the commands' period, under a model that leaves nothing else, are as their responses say, in
+    // proportion; of all of the log, as most of what speaks for them lies in how much else scatters.
+    if fit.shooting_error <= INEXACT && last.late.spread < period && last.fitted > WORTH_A_LOOK {
         let mut there = clean.clone();
         there.experiment.inputs[input] = moved(recorded, &last, unit);
         let cost = fit.innovation.evidence_cost - 2.0 * last.late.log_evidence;
