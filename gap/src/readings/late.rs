@@ -212,7 +212,7 @@ fn lost_share(mean: f64, spread: f64, period: f64) -> Option<f64> {
 }
 
 /// The delay of all commands that a fit has there (s).
-fn of_all(fit: &Fit, place: &Place) -> f64 {
+pub(super) fn of_all(fit: &Fit, place: &Place) -> f64 {
     let effects = &fit.hypothesis.effects;
     let of = effects.iter().position(|at| at.effect == Effect::Delay && at.place == *place);
     of.and_then(|of| fit.hypothesis.of_effect(of).next()).map_or(0.0, |k| fit.theta()[k])
