@@ -105,7 +105,7 @@ pub(crate) fn acted(
         let named = (!leader.hypothesis.effects.is_empty()).then_some(leader);
         // What joined the leader's first effect may be there for what these commands left.
         let mean = EffectAt { effect: Effect::Delay, place: place.clone() };
-        let late = alike(answers).find(|fit| effect == Effect::Jitter && is_only(fit, &mean));
+        let late = alike(answers).find(|fit| effect != Effect::Drops && is_only(fit, &mean));
         let mut bases = plain.into_iter().chain(part_of(answers, leader)).chain(named).chain(late);
         let lost = EffectAt { effect: Effect::Drops, place: place.clone() };
         bases.find_map(|base| {
@@ -113,11 +113,12 @@ pub(crate) fn acted(
                 // What is less than a leading effect's form may be off by is its form; where that leaves nothing, a few lost
                 // commands may still be told, times that scatter a little are of how commands are held between their stamps. A
                 // machine that sticks forgets what it was told whatever became of it: beside dry friction they must show
-                // as well as an effect does. A delay of the same commands is the mean of their times and no form of them.
+                // as well as an effect does. A delay of the same commands is the mean of their times, whatever they go with,
+                // and no form of them.
                 let sticks = base.hypothesis.effects.iter().any(|at| at.effect.is_dry());
                 let shows = base.innovation.evidence_cost - acted.cost > EXPLAINED;
                 let exact = base.shooting_error < AT_FLOOR && effect == Effect::Drops && (shows || !sticks);
-                let is_mean = effect == Effect::Jitter && is_only(base, &mean);
+                let is_mean = effect != Effect::Drops && is_only(base, &mean);
                 let form = base.shooting_error <= INEXACT
                     && !exact
                     && !is_mean
@@ -153,7 +154,7 @@ fn alike(answers: &Posterior) -> impl Iterator<Item = &Fit> {
     answers.answers.first().into_iter().flat_map(|answer| &answer.alike)
 }
 
-fn is_only(fit: &Fit, at: &EffectAt) -> bool {
+pub(super) fn is_only(fit: &Fit, at: &EffectAt) -> bool {
     fit.hypothesis.effects.len() == 1 && fit.hypothesis.effects[0] == *at
 }
 

@@ -51,7 +51,7 @@ struct Kick {
 #[derive(Clone, Debug)]
 pub(super) struct Kicks {
     kicks: Vec<Kick>,
-    /// Number of readings, and the sum of their squared whitened innovations.
+    /// Number of readings that weigh, and the sum of their squared whitened innovations.
     readings: usize,
     energy: f64,
     /// Order of the readings by stamp, and the stamps (s) and whitened innovations as the walk gave them.
@@ -73,10 +73,10 @@ impl Kicks {
     ///
     /// Nothing where the commands hardly change.
     pub(super) fn new(setup: &Setup, fit: &Fit, noise: &Noise, input: usize, late: f64) -> Option<Self> {
-        let all: Vec<Segment> = setup.train.iter().chain(&setup.test).cloned().collect();
+        let segments: Vec<Segment> = setup.train.iter().chain(&setup.test).cloned().collect();
         let walked = |setup: &Setup| {
             let simulator = library::simulator(setup, &fit.hypothesis, fit.residuals.clone());
-            walk_plain(&simulator, &all, &setup.noise, noise, fit.theta())
+            walk_plain(&simulator, &segments, &setup.noise, noise, fit.theta())
         };
         let plain = walked(setup);
         let held = &setup.experiment.inputs[input];
@@ -90,9 +90,12 @@ impl Kicks {
         let runs = combs(held, &changes, memory);
         let until_next = |k: usize| held.times.get(k + 1).map_or(0.0, |next| next - held.times[k]);
         let lateness = |k: usize| until_next(k).min(late);
-        let mut order: Vec<usize> = (0..plain.readings()).collect();
-        order.sort_by(|a, b| plain.stamp[*a].total_cmp(&plain.stamp[*b]));
-        let stamps: Vec<f64> = order.iter().map(|k| plain.stamp[*k]).collect();
+        // What a stretch's first readings tell is the state, whose guess knows nothing of what the hypothesis says of their times.
+        let told: Vec<usize> = (0..plain.readings()).filter(|k| plain.weighs(*k)).collect();
+        let stamp: Vec<f64> = told.iter().map(|k| plain.stamp[*k]).collect();
+        let mut order: Vec<usize> = (0..told.len()).collect();
+        order.sort_by(|a, b| stamp[*a].total_cmp(&stamp[*b]));
+        let stamps: Vec<f64> = order.iter().map(|k| stamp[*k]).collect();
         let found: Vec<Option<Vec<Kick>>> = runs
             .par_iter()
             .map(|run| {
@@ -111,7 +114,8 @@ impl Kicks {
                         let until = run.get(number + 1).map_or(f64::INFINITY, |next| held.times[*next]);
                         let first = stamps.partition_point(|s| *s <= held.times[k]);
                         let end = stamps.partition_point(|s| *s <= until.min(held.times[k] + memory));
-                        let change = |&r: &usize| {
+                        let change = |at: &usize| {
+                            let r = told[*at];
                             (plain.innovation[r] - other.innovation[r]) / plain.variance[r].sqrt()
                         };
                         let response = order[first..end].iter().map(change).collect();
@@ -130,8 +134,9 @@ impl Kicks {
         let mut kicks: Vec<Kick> = found.into_iter().collect::<Option<Vec<_>>>()?.concat();
         kicks.retain(|kick| kick.late > 0.0 && !kick.response.is_empty());
         kicks.sort_by_key(|kick| kick.command);
-        let whitened = plain.whitened();
-        let log_variance: Vec<f64> = plain.variance.iter().map(|s| s.ln()).collect();
+        let all = plain.whitened();
+        let whitened: Vec<f64> = told.iter().map(|k| all[*k]).collect();
+        let log_variance: Vec<f64> = told.iter().map(|k| plain.variance[*k].ln()).collect();
         let innovations: Vec<f64> = order.iter().map(|k| whitened[*k]).collect();
         let finite = innovations.iter().chain(kicks.iter().flat_map(|k| &k.response)).all(|v| v.is_finite());
         if kicks.len() < 10 || !finite {
@@ -151,7 +156,7 @@ impl Kicks {
             readings: innovations.len(),
             energy,
             order,
-            stamp: plain.stamp,
+            stamp,
             whitened,
             volume: log_variance.iter().sum(),
             log_variance,

@@ -6,17 +6,17 @@
 
 use parallax_model::effect::{Effect, Place};
 
-use super::acted::{Acted, TOLD, refitted};
+use super::acted::{Acted, TOLD, is_only, refitted};
 use super::golden::golden;
-use super::late::moved_by;
+use super::late::{moved_by, of_all};
 use super::{LogDensity, ReadingEffect, found};
 use crate::experiment::Held;
-use crate::hypothesis::EffectAt;
+use crate::hypothesis::{EffectAt, Slot};
 use crate::innovation::walk_plain;
 use crate::library;
 use crate::plot::format::{number, unit};
 use crate::report::Value;
-use crate::search::{Fit, INEXACT};
+use crate::search::{self, Fit, INEXACT};
 use crate::setup::Setup;
 use crate::statistics::{median, quantile};
 
@@ -89,17 +89,23 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
     values.sort_by(f64::total_cmp);
     values.dedup();
     let commands = Commands { recorded, input, values };
-    let delay = EffectAt { effect: Effect::Delay, place: place.clone() };
-    let longest = library::hypothesis(setup, &[delay]).fitted.last()?.high;
+    let all_late = EffectAt { effect: Effect::Delay, place: place.clone() };
+    let longest = library::hypothesis(setup, std::slice::from_ref(&all_late)).fitted.last()?.high;
     let shortest = 0.5 * median(&mut between);
     let ratio = (longest / shortest).powf(1.0 / (TIMES - 1) as f64);
-    let times: Vec<f64> = (0..TIMES).map(|k| shortest * ratio.powi(k as i32)).collect();
-    let mut way = commands.first_way(setup, base, &times, ratio)?;
+    let mut times: Vec<f64> = (0..TIMES).map(|k| shortest * ratio.powi(k as i32)).collect();
+    // Where all were found to be late, those that are not show best under a model that has all others as late.
+    let without = is_only(base, &all_late).then(|| {
+        times.push(of_all(base, place));
+        commands.without_delay(setup, base, of_all(base, place))
+    });
+    let from = without.as_ref().unwrap_or(base);
+    let mut way = commands.first_way(setup, from, &times, ratio)?;
 
     let refit = |way: Way| {
         let mut there = setup.clone();
         there.experiment.inputs[input] = commands.moved(way);
-        refitted(&there, base)
+        refitted(&there, from)
     };
     let mut fit = refit(way);
     let better = |other: &Fit, fit: &Fit| other.innovation.evidence_cost < fit.innovation.evidence_cost - 1.0;
@@ -169,6 +175,16 @@ impl Commands<'_> {
         }
         (way, least) = self.refined(way, ratio, cost);
         (same - least >= SHOWS).then_some(way)
+    }
+
+    /// The nominal model, fitted to commands that are all late as in `base`, which has nothing but that.
+    fn without_delay(&self, setup: &Setup, base: &Fit, late: f64) -> Fit {
+        let mut there = setup.clone();
+        there.experiment.inputs[self.input].times.iter_mut().for_each(|time| *time += late);
+        let of_base = |slot: &Slot| base.hypothesis.fitted.iter().position(|f| f.slot == *slot);
+        let nominal = library::hypothesis(setup, &[]).fitted;
+        let start = nominal.iter().map(|f| of_base(&f.slot).map_or(f.null, |k| base.theta()[k]));
+        search::null_from(&there, &base.innovation.noise, &start.collect::<Vec<f64>>())
     }
 
     /// What was found, as an effect.

@@ -141,9 +141,9 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
     }
     let mut best: Option<(f64, f64, Setup, Look)> = None;
     let mut delay = of_all(base, place);
-    // Short times under a model that leaves nothing else are as their responses say, in proportion; of all of the log, as most of
-    // what speaks for them lies in how much else scatters.
-    if fit.shooting_error <= INEXACT && last.late.spread < unit && last.fitted > WORTH_A_LOOK {
+    // Times that are short beside the commands' period, under a model that leaves nothing else, are as their responses say, in
+    // proportion; of all of the log, as most of what speaks for them lies in how much else scatters.
+    if fit.shooting_error <= INEXACT && last.late.spread < period && last.fitted > WORTH_A_LOOK {
         let mut there = clean.clone();
         there.experiment.inputs[input] = moved(recorded, &last, unit);
         let cost = fit.innovation.evidence_cost - 2.0 * last.late.log_evidence;
@@ -212,7 +212,7 @@ fn lost_share(mean: f64, spread: f64, period: f64) -> Option<f64> {
 }
 
 /// The delay of all commands that a fit has there (s).
-fn of_all(fit: &Fit, place: &Place) -> f64 {
+pub(super) fn of_all(fit: &Fit, place: &Place) -> f64 {
     let effects = &fit.hypothesis.effects;
     let of = effects.iter().position(|at| at.effect == Effect::Delay && at.place == *place);
     of.and_then(|of| fit.hypothesis.of_effect(of).next()).map_or(0.0, |k| fit.theta()[k])

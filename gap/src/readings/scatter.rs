@@ -246,7 +246,7 @@ fn of_reading(setup: &Setup, pass: &Pass, noise: &Noise, output: usize) -> Optio
     let (stamp, _) = setup.experiment.output(output);
     let own = noise.log_output[output].exp();
     let mut found = Sensitivity { innovations: Vec::new(), size: Vec::new() };
-    for k in (0..pass.readings()).filter(|k| pass.output[*k] == output) {
+    for k in (0..pass.readings()).filter(|k| pass.output[*k] == output && pass.weighs(*k)) {
         let at = stamp.partition_point(|s| *s < pass.stamp[k]);
         if let Some(rate) = rate(setup, output, at) {
             found.innovations.push(pass.innovation[k] / pass.variance[k].sqrt());
