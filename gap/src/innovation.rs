@@ -153,7 +153,8 @@ fn stretches(
             let place = if pieces == 1 { Some((first, end)) } else { locate(run.events(), late, from, to) };
             let Some((first, end)) = place else { continue };
             let guess = &segment.guess;
-            let (state, std) = simulator.start(theta, guess.state(from), guess.std(), run.events()[first].time);
+            let (state, std) =
+                simulator.start(theta, guess.state(from), guess.std(), run.events()[first].time);
             starts.push(Start { first, end, from, counts_from, weighs_from, to, state, std });
         }
     }

@@ -11,7 +11,7 @@ use crate::hypothesis::EffectAt;
 use crate::judge::{self, DECISIVE, EVEN, Judge, WORTH};
 use crate::library;
 use crate::options::Options;
-use crate::search::{self, Fit};
+use crate::search::{self, Fit, INEXACT};
 use crate::setup::Setup;
 use crate::signature::{self, Nuisance, SAME};
 use crate::stop::UNKNOWN;
@@ -356,8 +356,11 @@ pub fn weigh(
 
     // The unknowns stand alone and on top of the leading effect: if the effect adds nothing to them, it is no cause.
     let alone = residual_on(setup, null, null, &judge, &|| done("unknown cause"));
-    // So does friction of an unknown kind, in the place of the dry friction that explains most.
-    let helps = |fit: &&Fit| judge.cost(fit) < judge.cost(null) - EVEN;
+    // So does friction of an unknown kind, in the place of the dry friction that explains most; where something else reaches the noise,
+    // none is asked for.
+    let asked =
+        fits.first().is_some_and(|best| best.shooting_error > INEXACT || unknown::friction::is_part_of(best));
+    let helps = |fit: &&Fit| asked && judge.cost(fit) < judge.cost(null) - EVEN;
     let dry = fits.iter().filter(|fit| unknown::friction::is_dry(fit)).find(helps);
     let frictions = dry.map_or_else(Vec::new, |fit| unknown::friction::in_place_of(setup, fit));
     let alone = frictions.into_iter().chain(alone).min_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));

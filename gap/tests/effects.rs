@@ -87,6 +87,7 @@ found! {
     end_stop: Hidden { wall: 3.0, ..Hidden::default() }
         => "end_stop" at "joint:shaft" with [("limit", 0.8), ("stiffness", 3.0)];
     scale: Hidden { scale: 0.12, ..Hidden::default() } => "scale" at "output:angle" with [("scale", 1.12)];
+    reversed: Hidden { scale: -2.0, ..Hidden::default() } => "scale" at "output:angle" with [("scale", -1.0)];
     drift: Hidden { drift: 0.01, ..Hidden::default() } => "drift" at "output:angle" with [("rate", 0.01)];
     sensor_lag: Hidden { filter: 0.05, ..Hidden::default() }
         => "sensor_lag" at "output:angle" with [("time_constant", 0.05)];

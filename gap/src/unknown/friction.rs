@@ -53,8 +53,14 @@ pub fn in_place_of(setup: &Setup, known: &Fit) -> Vec<Fit> {
 /// Whether a fit is of dry friction alone.
 #[must_use]
 pub fn is_dry(fit: &Fit) -> bool {
+    fit.hypothesis.effects.len() == 1 && is_part_of(fit)
+}
+
+/// Whether dry friction is among a fit's effects.
+#[must_use]
+pub fn is_part_of(fit: &Fit) -> bool {
     let dry = |effect: Effect| effect.is_dry() || effect == Effect::CoulombDahl;
-    matches!(&fit.hypothesis.effects[..], [at] if dry(at.effect))
+    fit.hypothesis.effects.iter().any(|at| dry(at.effect))
 }
 
 fn in_place(setup: &Setup, known: &Fit, joint: usize, kind: Kind) -> Fit {
