@@ -74,6 +74,8 @@ pub struct Posterior {
     /// Of a residual alone.
     log_alone: f64,
     residual_alone: Option<Fit>,
+    /// Other unknown causes, each with its weight, the likeliest last.
+    further_alone: Vec<(f64, Fit)>,
     residual_on_leader: Option<Fit>,
     judge: Judge,
 }
@@ -207,10 +209,19 @@ impl Posterior {
         }
     }
 
+    /// Puts the next unknown cause in the place of the one that stands alone. Gives whether there was one.
+    pub fn other_unknown(&mut self, null: &Fit) -> bool {
+        let Some((log, fit)) = self.further_alone.pop() else { return false };
+        (self.log_alone, self.residual_alone) = (log, Some(fit));
+        self.settle_on_best(null);
+        true
+    }
+
     /// Has the estimates of the answers that may be named, and of the unknown cause, be those that predict best what was fitted.
     pub fn hold_to_predictions(&mut self, setup: &Setup) {
         let leading = self.answers.iter_mut().take(HELD).map(|answer| &mut answer.fit);
         let residuals = self.residual_alone.iter_mut().chain(self.residual_on_leader.iter_mut());
+        let residuals = residuals.chain(self.further_alone.iter_mut().map(|(_, fit)| fit));
         leading.chain(residuals).for_each(|fit| fit.hold_to_predictions(setup));
     }
 
@@ -219,6 +230,7 @@ impl Posterior {
         let further = (PRIOR_FURTHER / (1.0 - PRIOR_NO_GAP)).ln();
         self.log_no_gap += ((1.0 - PRIOR_FURTHER) / PRIOR_NO_GAP).ln();
         self.log_alone += further;
+        self.further_alone.iter_mut().for_each(|(log, _)| *log += further);
         self.answers.iter_mut().flat_map(|answer| &mut answer.logs).for_each(|log| *log += further);
         self.settle_on_best(null);
     }
@@ -252,9 +264,11 @@ impl Posterior {
         let mut log_unknown = self.log_alone;
         if let (Some(alone), Some((best, log))) = (&self.residual_alone, best) {
             // What a residual explains beyond a named cause is evidence against it only if it is material: no effect has
-            // exactly the form that the library gives it. A cause that is no likelier than none is no measure.
+            // exactly the form that the library gives it. A cause that is no likelier than none is no measure. That friction changes
+            // in time is no matter of its form.
             let beyond = self.judge.beyond_form(alone, best);
-            if beyond < 1.0 && log > self.log_no_gap && self.judge.cost(best) < self.judge.cost(null) {
+            let is_form = beyond < 1.0 && !unknown::friction::changes(alone);
+            if is_form && log > self.log_no_gap && self.judge.cost(best) < self.judge.cost(null) {
                 log_unknown = log_unknown.min(log + beyond.max(1e-6).ln());
             }
         }
@@ -363,7 +377,9 @@ pub fn weigh(
     let helps = |fit: &&Fit| asked && judge.cost(fit) < judge.cost(null) - EVEN;
     let dry = fits.iter().filter(|fit| unknown::friction::is_dry(fit)).find(helps);
     let frictions = dry.map_or_else(Vec::new, |fit| unknown::friction::in_place_of(setup, fit));
-    let alone = frictions.into_iter().chain(alone).min_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
+    let mut unknowns: Vec<Fit> = alone.into_iter().chain(frictions).collect();
+    unknowns.sort_by(|a, b| judge.cost(b).total_cmp(&judge.cost(a)));
+    let alone = unknowns.pop();
     let beside = || done("unknown beside the leading cause");
     let together = fits.first().and_then(|best| residual_on(setup, null, best, &judge, &beside));
 
@@ -433,6 +449,7 @@ pub fn weigh(
         log_evidence: 0.0,
         log_no_gap: PRIOR_NO_GAP.ln(),
         log_alone: alone.as_ref().map_or(f64::NEG_INFINITY, |fit| log_weight(fit, PRIOR_UNKNOWN)),
+        further_alone: unknowns.into_iter().map(|fit| (log_weight(&fit, PRIOR_UNKNOWN), fit)).collect(),
         residual_alone: alone,
         residual_on_leader: together,
         judge,

@@ -18,7 +18,8 @@ const LEAST_CLOSED: (f64, f64) = (0.3, 0.1);
 
 /// Takes from the unknown cause that outweighs the leading answer what predictions of held-out time (`row`) deny it: all but its prior
 /// where it spoils them and the answer does not; where it explains no more beyond the answer than the answer's form may be off by, all
-/// that makes it more likely than that. An answer that is no likelier than that there is no gap denies nothing.
+/// that makes it more likely than that. An answer that is no likelier than that there is no gap denies nothing. Where
+/// one kind of unknown cause is denied, the next one may speak.
 pub(super) fn hold_unknown(
     answers: &mut Posterior,
     null: &Fit,
@@ -26,20 +27,29 @@ pub(super) fn hold_unknown(
     refitted: &Row,
     seed: u64,
 ) {
-    let (Some(alone), Some(leader)) = (answers.residual(false), answers.answers.first()) else { return };
-    if alone.shooting_error <= INEXACT || !answers.leads_the_null() {
+    loop {
+        let (Some(alone), Some(leader)) = (answers.residual(false), answers.answers.first()) else { return };
+        if alone.shooting_error <= INEXACT || answers.names() || !answers.leads_the_null() {
+            return;
+        }
+        let exact = leader.fit.shooting_error <= INEXACT;
+        let (alone, leader) = (row(alone), row(&leader.fit));
+        let closed = |row: &Row| quantify::closed(refitted, row, seed);
+        let spoils = closed(&alone).high < ADDS && closed(&leader).value > 0.0;
+        let gap = refitted.mean_square() - 1.0;
+        let (alone, leader) = (alone.mean_square(), leader.mean_square());
+        let least = if alone < leader { LEAST_CLOSED.0 } else { LEAST_CLOSED.1 };
+        let beyond = judge::share_of_form(leader - alone, gap);
+        let is_held = !exact && refitted.mean_square() - leader > least * gap;
+        if (spoils || (is_held && beyond < 1.0)) && answers.other_unknown(null) {
+            continue;
+        }
+        if spoils {
+            answers.refute_unknown(null);
+        }
+        if is_held {
+            answers.hold_unknown_to(beyond, null);
+        }
         return;
-    }
-    let exact = leader.fit.shooting_error <= INEXACT;
-    let (alone, leader) = (row(alone), row(&leader.fit));
-    let closed = |row: &Row| quantify::closed(refitted, row, seed);
-    if closed(&alone).high < ADDS && closed(&leader).value > 0.0 {
-        answers.refute_unknown(null);
-    }
-    let gap = refitted.mean_square() - 1.0;
-    let (alone, leader) = (alone.mean_square(), leader.mean_square());
-    let least = if alone < leader { LEAST_CLOSED.0 } else { LEAST_CLOSED.1 };
-    if !exact && refitted.mean_square() - leader > least * gap {
-        answers.hold_unknown_to(judge::share_of_form(leader - alone, gap), null);
     }
 }

@@ -50,6 +50,12 @@ pub fn in_place_of(setup: &Setup, known: &Fit) -> Vec<Fit> {
         .collect()
 }
 
+/// Whether a fit is of friction that changes with time.
+#[must_use]
+pub fn changes(fit: &Fit) -> bool {
+    matches!(&fit.residuals[..], [Residual { target: Target::Friction(_), .. }])
+}
+
 /// Whether a fit is of dry friction alone.
 #[must_use]
 pub fn is_dry(fit: &Fit) -> bool {
