@@ -192,29 +192,30 @@ impl Posterior {
         self.unexplained += (1.0 - but) * named;
     }
 
-    /// Leaves the unknown cause its prior alone: predictions of held-out time with a residual in its place are worse than
-    /// without.
-    pub fn refute_unknown(&mut self, null: &Fit) {
-        self.log_alone = self.log_alone.min(self.log_no_gap + PRIOR_UNKNOWN.ln());
-        self.settle(None, null);
-    }
-
-    /// Holds the unknown cause to the leading answer, `beyond` which it explains this many times what a form may be off by.
-    pub fn hold_unknown_to(&mut self, beyond: f64, null: &Fit) {
-        let Some(leader) = self.answers.first() else { return };
-        let log = leader.logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        if beyond < 1.0 {
-            self.log_alone = self.log_alone.min(log + beyond.max(1e-6).ln());
-            self.settle(None, null);
+    /// Takes from the unknown cause what predictions of held-out time deny it: all but its prior where it `spoils` them, and what makes it
+    /// more likely than the leading answer, `beyond` which it explains this many times what a form may be off by, where it is held to
+    /// that. Gives whether another unknown cause is likelier than what is left of this one, and stands in its place.
+    pub fn deny_unknown(&mut self, spoils: bool, beyond: Option<f64>, null: &Fit) -> bool {
+        let beyond = beyond.filter(|beyond| *beyond < 1.0);
+        if !spoils && beyond.is_none() {
+            return false;
         }
-    }
-
-    /// Puts the next unknown cause in the place of the one that stands alone. Gives whether there was one.
-    pub fn other_unknown(&mut self, null: &Fit) -> bool {
-        let Some((log, fit)) = self.further_alone.pop() else { return false };
-        (self.log_alone, self.residual_alone) = (log, Some(fit));
-        self.settle_on_best(null);
-        true
+        let mut log = self.log_alone;
+        if spoils {
+            log = log.min(self.log_no_gap + PRIOR_UNKNOWN.ln());
+        }
+        if let (Some(beyond), Some(leader)) = (beyond, self.answers.first()) {
+            let most = leader.logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+            log = log.min(most + beyond.max(1e-6).ln());
+        }
+        if let Some((other, fit)) = self.further_alone.pop_if(|(other, _)| *other > log) {
+            (self.log_alone, self.residual_alone) = (other, Some(fit));
+            self.settle_on_best(null);
+            return true;
+        }
+        self.log_alone = log;
+        self.settle(None, null);
+        false
     }
 
     /// Has the estimates of the answers that may be named, and of the unknown cause, be those that predict best what was fitted.
@@ -259,19 +260,38 @@ impl Posterior {
         self.settle(best.as_ref().map(|(fit, log)| (fit, *log)), null);
     }
 
+    /// The weight of an unknown cause that would have `log_alone`, beside the best fit with its weight.
+    fn beside(&self, best: Option<(&Fit, f64)>, alone: &Fit, log_alone: f64, null: &Fit) -> f64 {
+        let Some((best, log)) = best else { return log_alone };
+        // What a residual explains beyond a named cause is evidence against it only if it is material: no effect has
+        // exactly the form that the library gives it. A cause that is no likelier than none is no measure. That friction changes
+        // in time is no matter of its form.
+        let beyond = self.judge.beyond_form(alone, best);
+        let is_form = beyond < 1.0 && !unknown::friction::changes(alone);
+        if is_form && log > self.log_no_gap && self.judge.cost(best) < self.judge.cost(null) {
+            log_alone.min(log + beyond.max(1e-6).ln())
+        } else {
+            log_alone
+        }
+    }
+
+    /// Of all unknown causes the likeliest beside the best fit stands alone.
+    fn lead_with_the_likeliest(&mut self, best: Option<(&Fit, f64)>, null: &Fit) {
+        let mut all = std::mem::take(&mut self.further_alone);
+        all.extend(self.residual_alone.take().map(|alone| (self.log_alone, alone)));
+        let weight = |(log, fit): &(f64, Fit)| self.beside(best, fit, *log, null);
+        all.sort_by(|a, b| weight(a).total_cmp(&weight(b)));
+        if let Some((log, alone)) = all.pop() {
+            (self.log_alone, self.residual_alone) = (log, Some(alone));
+        }
+        self.further_alone = all;
+    }
+
     /// Probabilities from the weights; `best` is the best fit with its weight. Gives the weight of all that is a gap.
     fn settle(&mut self, best: Option<(&Fit, f64)>, null: &Fit) -> f64 {
-        let mut log_unknown = self.log_alone;
-        if let (Some(alone), Some((best, log))) = (&self.residual_alone, best) {
-            // What a residual explains beyond a named cause is evidence against it only if it is material: no effect has
-            // exactly the form that the library gives it. A cause that is no likelier than none is no measure. That friction changes
-            // in time is no matter of its form.
-            let beyond = self.judge.beyond_form(alone, best);
-            let is_form = beyond < 1.0 && !unknown::friction::changes(alone);
-            if is_form && log > self.log_no_gap && self.judge.cost(best) < self.judge.cost(null) {
-                log_unknown = log_unknown.min(log + beyond.max(1e-6).ln());
-            }
-        }
+        let alone = self.residual_alone.as_ref();
+        let log_unknown =
+            alone.map_or(self.log_alone, |alone| self.beside(best, alone, self.log_alone, null));
         let logs = || self.answers.iter().flat_map(|answer| &answer.logs).chain([&log_unknown]);
         let largest = logs().copied().fold(self.log_no_gap, f64::max);
         let of_a_gap: f64 = logs().map(|log| (log - largest).exp()).sum();
@@ -377,9 +397,7 @@ pub fn weigh(
     let helps = |fit: &&Fit| asked && judge.cost(fit) < judge.cost(null) - EVEN;
     let dry = fits.iter().filter(|fit| unknown::friction::is_dry(fit)).find(helps);
     let frictions = dry.map_or_else(Vec::new, |fit| unknown::friction::in_place_of(setup, fit));
-    let mut unknowns: Vec<Fit> = alone.into_iter().chain(frictions).collect();
-    unknowns.sort_by(|a, b| judge.cost(b).total_cmp(&judge.cost(a)));
-    let alone = unknowns.pop();
+    let unknowns = alone.into_iter().chain(frictions);
     let beside = || done("unknown beside the leading cause");
     let together = fits.first().and_then(|best| residual_on(setup, null, best, &judge, &beside));
 
@@ -448,13 +466,15 @@ pub fn weigh(
         unexplained: 0.0,
         log_evidence: 0.0,
         log_no_gap: PRIOR_NO_GAP.ln(),
-        log_alone: alone.as_ref().map_or(f64::NEG_INFINITY, |fit| log_weight(fit, PRIOR_UNKNOWN)),
-        further_alone: unknowns.into_iter().map(|fit| (log_weight(&fit, PRIOR_UNKNOWN), fit)).collect(),
-        residual_alone: alone,
+        log_alone: f64::NEG_INFINITY,
+        further_alone: unknowns.map(|fit| (log_weight(&fit, PRIOR_UNKNOWN), fit)).collect(),
+        residual_alone: None,
         residual_on_leader: together,
         judge,
     };
-    let of_a_gap = posterior.settle(fits.first().zip(logs.first().copied()), null);
+    let best = fits.first().zip(logs.first().copied());
+    posterior.lead_with_the_likeliest(best, null);
+    let of_a_gap = posterior.settle(best, null);
     posterior.log_evidence = of_a_gap - (1.0 - PRIOR_NO_GAP).ln();
     posterior
 }

@@ -12,6 +12,7 @@ mod identify;
 mod import;
 mod info;
 mod join;
+mod kinds;
 mod latency;
 mod live;
 mod lockstep;
@@ -105,6 +106,9 @@ enum Command {
     /// Show a graph, its schedule and its supergraph, in words and in pictures.
     #[command(after_help = EXIT_CODES)]
     Graph(graph::Arguments),
+    /// List the kinds of node that a graph may name: what they take and what they send.
+    #[command(after_help = EXIT_CODES)]
+    Kinds(kinds::Arguments),
     /// Look at this machine as a place for nodes that must be on time, and say what to change.
     #[command(after_help = EXIT_CODES)]
     Doctor(doctor::Arguments),
@@ -211,6 +215,7 @@ pub(crate) fn main(own: fn(Registry) -> Registry) -> ExitCode {
         Command::Join(arguments) => join::run(&arguments),
         Command::Delays(arguments) => delays::run(&arguments),
         Command::Graph(arguments) => graph::run(&arguments),
+        Command::Kinds(arguments) => kinds::run(&arguments),
     };
     match result {
         Ok(outcome) => outcome.into(),

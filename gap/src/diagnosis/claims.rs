@@ -19,7 +19,7 @@ const LEAST_CLOSED: (f64, f64) = (0.3, 0.1);
 /// Takes from the unknown cause that outweighs the leading answer what predictions of held-out time (`row`) deny it: all but its prior
 /// where it spoils them and the answer does not; where it explains no more beyond the answer than the answer's form may be off by, all
 /// that makes it more likely than that. An answer that is no likelier than that there is no gap denies nothing. Where
-/// one kind of unknown cause is denied, the next one may speak.
+/// another kind of unknown cause is likelier than what is left of this one, it speaks.
 pub(super) fn hold_unknown(
     answers: &mut Posterior,
     null: &Fit,
@@ -35,21 +35,16 @@ pub(super) fn hold_unknown(
         let exact = leader.fit.shooting_error <= INEXACT;
         let (alone, leader) = (row(alone), row(&leader.fit));
         let closed = |row: &Row| quantify::closed(refitted, row, seed);
-        let spoils = closed(&alone).high < ADDS && closed(&leader).value > 0.0;
+        let by_leader = closed(&leader);
+        let spoils = closed(&alone).high < ADDS && by_leader.value > 0.0;
         let gap = refitted.mean_square() - 1.0;
         let (alone, leader) = (alone.mean_square(), leader.mean_square());
         let least = if alone < leader { LEAST_CLOSED.0 } else { LEAST_CLOSED.1 };
-        let beyond = judge::share_of_form(leader - alone, gap);
-        let is_held = !exact && refitted.mean_square() - leader > least * gap;
-        if (spoils || (is_held && beyond < 1.0)) && answers.other_unknown(null) {
-            continue;
+        // What may close nothing is no measure.
+        let is_held = !exact && by_leader.low > 0.0 && refitted.mean_square() - leader > least * gap;
+        let beyond = is_held.then(|| judge::share_of_form(leader - alone, gap));
+        if !answers.deny_unknown(spoils, beyond, null) {
+            return;
         }
-        if spoils {
-            answers.refute_unknown(null);
-        }
-        if is_held {
-            answers.hold_unknown_to(beyond, null);
-        }
-        return;
     }
 }

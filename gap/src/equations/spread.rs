@@ -5,8 +5,10 @@ use parallax_model::plant::Plant;
 /// Least share of the inertia on either side of a spring for which its swing is told.
 const LEAST_SHARE: f64 = 0.02;
 
-/// Rate of a deflection as a share of that of a free swing as wide as it: a force that bends a spring rarely does so as fast.
-const SWING: f64 = 0.5;
+/// Deflection as a share of what the force bends a spring by at most, as a stretch begins anywhere in the motion; and its rate as a share
+/// of that of a free swing as wide: a force that bends a spring rarely does so as fast.
+const BENT: f64 = 0.5;
+const SWING: f64 = 0.4;
 
 /// The standard deviation of one such state, at the start of a stretch.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,8 +39,8 @@ impl Spread {
                 let own = plant.own(&plant.effects()[effect], extra);
                 let &[stiffness, _, ratio] = &own[..] else { return most };
                 let ratio = ratio.clamp(LEAST_SHARE, 1.0 - LEAST_SHARE);
-                let bent = (force / stiffness.max(0.0)).min(most);
-                let turns = (force / bent / (inertia * ratio * (1.0 - ratio))).sqrt();
+                let bent = (BENT * force / stiffness.max(0.0)).min(most);
+                let turns = (BENT * force / bent / (inertia * ratio * (1.0 - ratio))).sqrt();
                 if rate { SWING * bent * turns } else { bent }
             }
         }
