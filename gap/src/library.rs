@@ -251,16 +251,28 @@ pub fn extra_spread(setup: &Setup, plant: &Plant) -> Vec<Spread> {
             }
             // Anything between all of it one way and all of it the other.
             ExtraState::Bristles { .. } | ExtraState::Slip { .. } => Spread::Fixed(0.6),
-            ExtraState::Deflection { effect, joint } => bent(setup, effect, joint, false),
-            ExtraState::DeflectionRate { effect, joint } => bent(setup, effect, joint, true),
+            ExtraState::Deflection { effect, joint } => bent(setup, plant, effect, joint, false),
+            ExtraState::DeflectionRate { effect, joint } => bent(setup, plant, effect, joint, true),
         })
         .collect()
 }
 
-/// A spring inside a joint, or its rate: bent as far as the driving force does, over the joint's range at most.
-fn bent(setup: &Setup, effect: usize, joint: usize, rate: bool) -> Spread {
+/// A spring inside a joint, or its rate: one that is stated is bent as far as the driving force does, over the joint's range at most; one
+/// that is looked for, as far as one that swings in the middle of what can be seen.
+fn bent(setup: &Setup, plant: &Plant, effect: usize, joint: usize, rate: bool) -> Spread {
     let JointScale { force, inertia, position, .. } = &setup.joints[joint];
-    Spread::Bent { effect, rate, force: *force, inertia: *inertia, most: position.width().max(1e-9) }
+    let (usual, usual_rate) = sizes::deflection(setup, joint);
+    if plant.effects()[effect].fixed.is_none() {
+        return Spread::Fixed(if rate { usual_rate } else { usual });
+    }
+    Spread::Bent {
+        effect,
+        rate,
+        force: *force,
+        inertia: *inertia,
+        least: usual,
+        most: position.width().max(usual),
+    }
 }
 
 /// Root mean square of how fast an output's readings change, in its unit per second.

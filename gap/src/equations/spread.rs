@@ -2,9 +2,6 @@
 
 use parallax_model::plant::Plant;
 
-/// Least share of the inertia on either side of a spring for which its swing is told.
-const LEAST_SHARE: f64 = 0.02;
-
 /// Deflection as a share of what the force bends a spring by at most, as a stretch begins anywhere in the motion; and its rate as a share
 /// of that of a free swing as wide: a force that bends a spring rarely does so as fast.
 const BENT: f64 = 0.5;
@@ -25,7 +22,9 @@ pub enum Spread {
         force: f64,
         /// The joint's inertia (kg m² or kg).
         inertia: f64,
-        /// As far as it may be bent at most (rad or m).
+        /// As far as it may be bent at least, however stiff it is, and at most (rad or m).
+        least: f64,
+        /// See `least`.
         most: f64,
     },
 }
@@ -35,12 +34,12 @@ impl Spread {
     pub(super) fn at(&self, plant: &Plant, extra: &[f64]) -> f64 {
         match *self {
             Spread::Fixed(std) => std,
-            Spread::Bent { effect, rate, force, inertia, most } => {
+            Spread::Bent { effect, rate, force, inertia, least, most } => {
                 let own = plant.own(&plant.effects()[effect], extra);
-                let &[stiffness, _, ratio] = &own[..] else { return most };
-                let ratio = ratio.clamp(LEAST_SHARE, 1.0 - LEAST_SHARE);
-                let bent = (BENT * force / stiffness.max(0.0)).min(most);
-                let turns = (BENT * force / bent / (inertia * ratio * (1.0 - ratio))).sqrt();
+                let stiffness = own.first().copied().unwrap_or(0.0).max(0.0);
+                let bent = (BENT * force / stiffness).min(most).max(least);
+                // Of equal halves of the inertia.
+                let turns = (BENT * force / bent / (0.25 * inertia)).sqrt();
                 if rate { SWING * bent * turns } else { bent }
             }
         }

@@ -341,6 +341,14 @@ fn mass(setup: &Setup, joint: usize) -> f64 {
     }
 }
 
+/// Natural size of a spring's deflection and of its rate, for one that swings in the middle of what can be seen.
+pub(super) fn deflection(setup: &Setup, joint: usize) -> (f64, f64) {
+    let scale = &setup.joints[joint];
+    let turns = TAU * 0.3 * HIGHEST / setup.period;
+    let size = scale.force / (turns * turns * scale.inertia * 0.25);
+    (0.5 * size, 0.2 * size * turns)
+}
+
 /// Highest frequency of a spring inside a joint that readings show, in their own frequency.
 const HIGHEST: f64 = 0.35;
 
