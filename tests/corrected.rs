@@ -134,7 +134,7 @@ fn a_corrected_system_as_a_node_equals_the_diagnosis_own_simulation() {
         let (equations, experiment) = bind(&system, &recording.log()).unwrap();
         let plant = Plant::new(equations, &[], Vec::new(), vec![0.05]);
         let simulator = EquationsSimulator::new(plant, Vec::new(), &experiment, 0.01);
-        let (mut state, _) = simulator.start(&[], &[2.5, 0.0], &[0.0; 2], 0.0);
+        let (mut state, _) = simulator.start(&[2.5, 0.0], &[0.0; 2], 0.0);
         let mut run = simulator.run(&[]);
         let (mut prediction, mut transition) = (Prediction::default(), Transition::default());
         let mut readings = 0;

@@ -1,4 +1,4 @@
-//! `parallax delays` and `parallax graph` as their users meet them: what they print, draw and refuse.
+//! `parallax delays`, `parallax graph` and `parallax kinds` as their users meet them: what they print, draw and refuse.
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -220,4 +220,24 @@ fn what_cannot_be_shown_is_told() {
     succeed(&folder, &["import", "log", "--out", "log.mcap"]);
     refuse(&folder, &["delays", "log.mcap"], &["log.mcap", "imported log"]);
     refuse(&folder, &["graph", "log.mcap"], &["log.mcap", "imported log"]);
+}
+
+#[test]
+fn kinds_lists_all_that_a_graph_may_name_and_says_what_one_takes_and_sends() {
+    let folder = folder();
+    let listed = succeed(&folder, &["kinds"]);
+    let registry = parallax::nodes::registry();
+    for name in registry.names().filter(|name| !name.starts_with("playback/")) {
+        assert!(listed.lines().any(|line| line.split_whitespace().next() == Some(name)), "{name}\n{listed}");
+    }
+    let encoder = succeed(&folder, &["kinds", "pendulum/encoder"]);
+    for said in ["world: pendulum/WorldState { angle, speed, stamp }", "angle_noise", "0.0015"] {
+        assert!(encoder.contains(said), "{encoder}");
+    }
+    let all = json(&folder, &["kinds", "--json"]);
+    assert_eq!(all.as_array().unwrap().len(), registry.names().count() + 1, "and those in Python");
+    let motor = json(&folder, &["kinds", "pendulum/motor", "--json"]);
+    assert_eq!(motor["inputs"][0]["leaves"], serde_json::json!(["voltage"]));
+    assert_eq!(motor["parameters"][0], serde_json::json!({ "name": "rated", "value": 4.0 }));
+    refuse(&folder, &["kinds", "pendulum/moter"], &["pendulum/moter", "did you mean `pendulum/motor`?"]);
 }

@@ -49,8 +49,8 @@ struct Combine<'a> {
 }
 
 /// Combinations that are worth their further effects; `fits` are single effects in their best forms, the best first,
-/// `forms` are all of them, and `tried` what else was tried alone. Single effects that were fitted better from where they are in a combination are among what it
-/// gives.
+/// `forms` are all of them, and `tried` all that were tried alone. Single effects that were fitted better from where they are
+/// in a combination are among what it gives.
 #[must_use]
 pub fn combinations(
     setup: &Setup,

@@ -5,7 +5,6 @@
 //! smooth, and no sample is interpolated.
 
 mod clipped;
-mod spread;
 mod table;
 
 use std::sync::{Arc, OnceLock};
@@ -23,7 +22,6 @@ use crate::hypothesis::Slot;
 use crate::machine::{Drive, Field, Layout, Machine};
 use crate::simulator::{At, AtLimit, Event, Gradient, LANES, Motion, Run, Simulator};
 use clipped::Clipped;
-pub use spread::Spread;
 use table::{Table, table};
 
 /// Most states and fitted parameters together.
@@ -44,8 +42,8 @@ pub struct EquationsSimulator<'a> {
     plain: OnceLock<Field>,
     /// The events where they do not depend on θ; made when they are asked for.
     events: OnceLock<Arc<Table>>,
-    /// Of the states beyond the nominal ones, where a stretch begins.
-    extra: Vec<Spread>,
+    /// Standard deviations of the states beyond the nominal ones, where a stretch begins.
+    extra_std: Vec<f64>,
     /// Outputs whose sensor has limits.
     clipped: Vec<Clipped>,
     /// Standard deviation of each output's noise; zero where it is not known.
@@ -75,7 +73,7 @@ impl<'a> EquationsSimulator<'a> {
         let plant = plant.with_step(step);
         let full = field(&plant, experiment, &theta, !timed.is_empty());
         let (plain, events) = (OnceLock::new(), OnceLock::new());
-        let extra = vec![Spread::Fixed(1.0); plant.extra_states().len()];
+        let extra_std = vec![1.0; plant.extra_states().len()];
         let outputs = experiment.wraps.len();
         let clipped = Clipped::all(&plant, outputs, &theta);
         let noise = vec![0.0; outputs];
@@ -88,7 +86,7 @@ impl<'a> EquationsSimulator<'a> {
             full,
             plain,
             events,
-            extra,
+            extra_std,
             clipped,
             noise,
         }
@@ -103,10 +101,10 @@ impl<'a> EquationsSimulator<'a> {
         self
     }
 
-    /// The same simulator with how far the states may be from rest that effects bring with them, in the plant's order.
+    /// The same simulator with standard deviations for the states that effects bring with them, in the plant's order.
     #[must_use]
-    pub fn with_extra_spread(mut self, extra: Vec<Spread>) -> Self {
-        self.extra = extra;
+    pub fn with_extra_std(mut self, std: Vec<f64>) -> Self {
+        self.extra_std = std;
         self
     }
 
@@ -135,19 +133,13 @@ impl<'a> EquationsSimulator<'a> {
         Some(held.map(|current| changes[current[input] as usize].stamp).collect())
     }
 
-    /// The parameters of the equations, and those of effects and residuals behind them.
-    fn parameters_at(&self, theta: &[f64]) -> Vec<f64> {
+    fn walk<'b>(&'b self, theta: &[f64], full: bool) -> Box<dyn Run + 'b> {
         let mut parameters = self.plant.equations().nominal();
+        let first_extra = parameters.len();
         parameters.extend(self.plant.extra_values());
         for (slot, value) in self.slots.iter().zip(theta) {
             parameters[position(&self.plant, slot)] = *value;
         }
-        parameters
-    }
-
-    fn walk<'b>(&'b self, theta: &[f64], full: bool) -> Box<dyn Run + 'b> {
-        let parameters = self.parameters_at(theta);
-        let first_extra = self.plant.equations().nominal().len();
         let field = if full {
             &self.full
         } else {
@@ -212,7 +204,7 @@ impl Simulator for EquationsSimulator<'_> {
         self.slots.len()
     }
 
-    fn start(&self, theta: &[f64], state: &[f64], std: &[f64], time: f64) -> (Vec<f64>, Vec<f64>) {
+    fn start(&self, state: &[f64], std: &[f64], time: f64) -> (Vec<f64>, Vec<f64>) {
         let n = self.plant.equations().system().states.len();
         if state.len() == self.plant.states() {
             return (state.to_vec(), std.to_vec());
@@ -220,9 +212,7 @@ impl Simulator for EquationsSimulator<'_> {
         let inputs: Vec<f64> = self.experiment.inputs.iter().map(|held| held.at(time)).collect();
         let parameters = self.plant.equations().nominal();
         let point = Point { parameters: &parameters, states: &state[..n], inputs: &inputs, time };
-        let extra = self.parameters_at(theta).split_off(parameters.len());
-        let spread = self.extra.iter().map(|spread| spread.at(&self.plant, &extra));
-        (self.plant.start(&point), std[..n].iter().copied().chain(spread).collect())
+        (self.plant.start(&point), std[..n].iter().chain(&self.extra_std).copied().collect())
     }
 
     fn run<'a>(&'a self, theta: &[f64]) -> Box<dyn Run + 'a> {

@@ -56,8 +56,7 @@ fn variances(
 
     let mut run = simulator.run_at(theta);
     let guess = &segment.guess;
-    let (mut x, std) =
-        simulator.start(theta, guess.state(segment.from), guess.std(), run.events()[first].time);
+    let (mut x, std) = simulator.start(guess.state(segment.from), guess.std(), run.events()[first].time);
     let mut uncertainty = Uncertainty::new(&std);
     let mut active: Vec<Free> = Vec::new();
     let (mut transition, mut prediction) = (Transition::default(), Prediction::default());

@@ -102,7 +102,6 @@ const SAME: f64 = 0.1;
 fn stretches(
     simulator: &dyn Simulator,
     run: &dyn Run,
-    theta: &[f64],
     segments: &[Segment],
     model: &NoiseModel,
 ) -> Vec<Start> {
@@ -153,8 +152,7 @@ fn stretches(
             let place = if pieces == 1 { Some((first, end)) } else { locate(run.events(), late, from, to) };
             let Some((first, end)) = place else { continue };
             let guess = &segment.guess;
-            let (state, std) =
-                simulator.start(theta, guess.state(from), guess.std(), run.events()[first].time);
+            let (state, std) = simulator.start(guess.state(from), guess.std(), run.events()[first].time);
             starts.push(Start { first, end, from, counts_from, weighs_from, to, state, std });
         }
     }
@@ -169,7 +167,7 @@ pub fn walk(
     noise: &Noise,
     theta: &[f64],
 ) -> Pass {
-    walk_along(simulator, &mut *simulator.run(theta), theta, segments, model, noise)
+    walk_along(simulator, &mut *simulator.run(theta), segments, model, noise)
 }
 
 /// The same walk without derivatives by θ, which are most of the work.
@@ -180,18 +178,17 @@ pub fn walk_plain(
     noise: &Noise,
     theta: &[f64],
 ) -> Pass {
-    walk_along(simulator, &mut *simulator.run_at(theta), theta, segments, model, noise)
+    walk_along(simulator, &mut *simulator.run_at(theta), segments, model, noise)
 }
 
 fn walk_along(
     simulator: &dyn Simulator,
     run: &mut dyn Run,
-    theta: &[f64],
     segments: &[Segment],
     model: &NoiseModel,
     noise: &Noise,
 ) -> Pass {
-    let starts = stretches(simulator, run, theta, segments, model);
+    let starts = stretches(simulator, run, segments, model);
     let parameters = run.parameters();
     filter(run, &starts, simulator.states(), parameters, &model.scale, noise)
 }

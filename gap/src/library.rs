@@ -8,9 +8,9 @@ use parallax_model::effect::{Effect, Place, PlaceKind};
 use parallax_model::plant::{ExtraState, Plant, Residual};
 use parallax_model::system::{OwnParameter, StatedEffect, System};
 
-use crate::equations::{EquationsSimulator, Spread};
+use crate::equations::EquationsSimulator;
 use crate::hypothesis::{EffectAt, Fitted, Hypothesis, Prior, Slot};
-use crate::setup::{JointScale, Setup};
+use crate::setup::Setup;
 
 pub use possible::is_possible;
 
@@ -229,50 +229,41 @@ pub fn simulator<'a>(
     let smoothing = setup.joints.iter().map(|j| j.smoothing).collect();
     let plant = Plant::new(setup.equations.clone(), &effects, residuals, smoothing);
     let slots = hypothesis.fitted.iter().map(|f| f.slot).collect();
-    let extra = extra_spread(setup, &plant);
+    let std = extra_std(setup, &plant);
     EquationsSimulator::new(plant, slots, &setup.experiment, setup.step)
-        .with_extra_spread(extra)
+        .with_extra_std(std)
         .with_noise(&setup.output_noise)
 }
 
 /// How uncertain the states are that effects bring with them, where a stretch of the recording begins.
 #[must_use]
-pub fn extra_spread(setup: &Setup, plant: &Plant) -> Vec<Spread> {
+pub fn extra_std(setup: &Setup, plant: &Plant) -> Vec<f64> {
     plant
         .extra_states()
         .iter()
         .map(|state| match *state {
             // As far as a reading goes in a twentieth of a second.
-            ExtraState::ReadingRate { output, .. } => Spread::Fixed(output_rate(setup, output)),
+            ExtraState::ReadingRate { output, .. } => output_rate(setup, output),
             ExtraState::Reading { output, .. } => {
                 let rate = output_rate(setup, output);
-                let most = 0.3 * setup.output_scale[output];
-                Spread::Fixed((0.05 * rate).min(most).max(setup.output_noise[output]))
+                (0.05 * rate).min(0.3 * setup.output_scale[output]).max(setup.output_noise[output])
             }
             // Anything between all of it one way and all of it the other.
-            ExtraState::Bristles { .. } | ExtraState::Slip { .. } => Spread::Fixed(0.6),
-            ExtraState::Deflection { effect, joint } => bent(setup, plant, effect, joint, false),
-            ExtraState::DeflectionRate { effect, joint } => bent(setup, plant, effect, joint, true),
+            ExtraState::Bristles { .. } | ExtraState::Slip { .. } => 0.6,
+            // As far as the driving force bends a spring that swings in the middle of what can be seen; one that is stated may be softer.
+            ExtraState::Deflection { effect, joint } => {
+                sizes::deflection(setup, joint, stated_stiffness(plant, effect)).0
+            }
+            ExtraState::DeflectionRate { effect, joint } => {
+                sizes::deflection(setup, joint, stated_stiffness(plant, effect)).1
+            }
         })
         .collect()
 }
 
-/// A spring inside a joint, or its rate: one that is stated is bent as far as the driving force does, over the joint's range at most; one
-/// that is looked for, as far as one that swings in the middle of what can be seen.
-fn bent(setup: &Setup, plant: &Plant, effect: usize, joint: usize, rate: bool) -> Spread {
-    let JointScale { force, inertia, position, .. } = &setup.joints[joint];
-    let (usual, usual_rate) = sizes::deflection(setup, joint);
-    if plant.effects()[effect].fixed.is_none() {
-        return Spread::Fixed(if rate { usual_rate } else { usual });
-    }
-    Spread::Bent {
-        effect,
-        rate,
-        force: *force,
-        inertia: *inertia,
-        least: usual,
-        most: position.width().max(usual),
-    }
+/// The stiffness of a spring inside a joint that the system states.
+fn stated_stiffness(plant: &Plant, effect: usize) -> Option<f64> {
+    plant.effects()[effect].fixed.as_ref().and_then(|stated| stated.first()).copied()
 }
 
 /// Root mean square of how fast an output's readings change, in its unit per second.

@@ -54,7 +54,7 @@ pub fn null_from(setup: &Setup, noise: &Noise, start: &[f64]) -> Fit {
     };
     let mut innovation = fitted(Known::Nothing(noise), start);
     let shot = |innovation: &InnovationFit| {
-        let windows = windows(setup, &simulator, &innovation.minimum.theta, &innovation.pass);
+        let windows = windows(setup, &simulator, &innovation.pass);
         fit_windows(setup, &simulator, &hypothesis, &windows, &innovation.minimum.theta, ITERATIONS)
     };
     let mut found = shot(&innovation);
@@ -106,13 +106,13 @@ fn shoot_from(
     effort: Effort,
 ) -> Option<Shot> {
     let simulator = library::simulator(setup, hypothesis, Vec::new());
+    let windows = windows(setup, &simulator, &null.innovation.pass);
     let (count, iterations) = if effort == Effort::Full { (FULL_STARTS, ITERATIONS) } else { (1, FEW) };
     let mut best: Option<Shot> = None;
     for start in starts.iter().take(count) {
         if best.is_some() && setup.stop.asked() {
             break;
         }
-        let windows = windows(setup, &simulator, start, &null.innovation.pass);
         let shot = fit_windows(setup, &simulator, hypothesis, &windows, start, iterations);
         if best.as_ref().is_none_or(|b| shot.cost < b.cost) {
             best = Some(shot);
@@ -157,7 +157,7 @@ fn refine(
         }
     }
     // Each loss starts from the other's answer as well, with the states that its own filter found.
-    let own = windows(setup, &simulator, &innovation.minimum.theta, &innovation.pass);
+    let own = windows(setup, &simulator, &innovation.pass);
     let again = fit_windows(setup, &simulator, &hypothesis, &own, &innovation.minimum.theta, ITERATIONS);
     if again.cost < shot.cost {
         shot = again;
@@ -213,6 +213,7 @@ struct Screened {
 /// Follows every start of a hypothesis for a few steps, on a sample of the windows.
 fn screen(setup: &Setup, base: &Fit, hypothesis: Hypothesis) -> Screened {
     let simulator = library::simulator(setup, &hypothesis, Vec::new());
+    let sample = representative(setup, windows(setup, &simulator, &base.innovation.pass), SCREEN_WINDOWS);
     let declared = hypothesis.starts();
     let mut starts = declared.clone();
     for start in &mut starts {
@@ -226,8 +227,6 @@ fn screen(setup: &Setup, base: &Fit, hypothesis: Hypothesis) -> Screened {
     let mut tried: Vec<(f64, Vec<f64>)> = starts
         .into_iter()
         .map(|start| {
-            let all = windows(setup, &simulator, &start, &base.innovation.pass);
-            let sample = representative(setup, all, SCREEN_WINDOWS);
             let shot = fit_windows(setup, &simulator, &hypothesis, &sample, &start, FEW);
             let cost = if shot.cost.is_nan() { f64::INFINITY } else { shot.cost };
             (cost, shot.minimum.theta)
@@ -374,7 +373,7 @@ pub fn fit_part(setup: &Setup, null: &Fit, hypothesis: Hypothesis, whole: &Fit) 
     }
 }
 
-/// Where a fit with a residual begins by either loss, and how many steps it goes.
+/// Where a fit with a residual begins by either loss.
 #[derive(Clone, Debug)]
 pub struct Begin {
     /// Parameters for the innovation likelihood.
@@ -399,10 +398,9 @@ pub fn fit_from(
     let by_innovations = |start: &Begin| {
         fit(&simulator, &hypothesis, &setup.train, &setup.noise, known, &start.innovations, iterations)
     };
-    let by_windows = |start: &Begin| {
-        let windows = windows(setup, &simulator, &start.windows, &base.innovation.pass);
-        fit_windows(setup, &simulator, &hypothesis, &windows, &start.windows, 3 * iterations)
-    };
+    let windows = windows(setup, &simulator, &base.innovation.pass);
+    let by_windows =
+        |start: &Begin| fit_windows(setup, &simulator, &hypothesis, &windows, &start.windows, 3 * iterations);
     let innovation =
         starts.iter().map(by_innovations).min_by(|a, b| a.evidence_cost.total_cmp(&b.evidence_cost));
     let shot = starts.iter().map(by_windows).min_by(|a, b| a.cost.total_cmp(&b.cost));

@@ -34,10 +34,10 @@ pub trait Simulator: Sync {
     fn states(&self) -> usize;
     /// How many parameters the hypothesis fits: θ.
     fn parameters(&self) -> usize;
-    /// A start of this simulator's states at θ from the nominal system's, with standard deviations, at `time` seconds: a
+    /// A start of this simulator's states from the nominal system's, with standard deviations, at `time` seconds: a
     /// hypothesis may have states that the nominal system lacks. A start that has all states already stays as it is.
-    fn start(&self, theta: &[f64], state: &[f64], std: &[f64], time: f64) -> (Vec<f64>, Vec<f64>) {
-        let _ = (theta, time);
+    fn start(&self, state: &[f64], std: &[f64], time: f64) -> (Vec<f64>, Vec<f64>) {
+        let _ = time;
         (state.to_vec(), std.to_vec())
     }
     /// Prepares a walk at the parameters θ.

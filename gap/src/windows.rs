@@ -74,10 +74,9 @@ impl Shot {
 /// Most windows that are fitted: beyond that the log is represented by some of them.
 const MOST_WINDOWS: usize = 320;
 
-/// Windows over the training segments, their states guessed by a filter's walk; those that a hypothesis brings with it are as free as
-/// they are at θ. The same ones for every hypothesis.
+/// Windows over the training segments, their states guessed by a filter's walk. The same ones for every hypothesis.
 #[must_use]
-pub fn windows(setup: &Setup, simulator: &dyn Simulator, theta: &[f64], walked: &Pass) -> Vec<Window> {
+pub fn windows(setup: &Setup, simulator: &dyn Simulator, walked: &Pass) -> Vec<Window> {
     let (n, known) = (setup.equations.system().states.len(), walked.states());
     let mut windows = Vec::new();
     let mut next = 0;
@@ -106,8 +105,7 @@ pub fn windows(setup: &Setup, simulator: &dyn Simulator, theta: &[f64], walked: 
             }
             // The filter's state at the window's first reading; it has seen all earlier ones.
             let found = &walked.state[first * known..(first + 1) * known];
-            let (mut state, std) =
-                simulator.start(theta, &found[..n], segment.guess.std(), walked.stamp[first]);
+            let (mut state, std) = simulator.start(&found[..n], segment.guess.std(), walked.stamp[first]);
             if state.len() == known {
                 state.copy_from_slice(found);
             }

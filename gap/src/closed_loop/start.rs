@@ -41,12 +41,11 @@ impl Start {
         guess: (&[f64], &[f64]),
         noise: &[f64],
     ) -> Option<Self> {
-        let theta = vec![0.0; simulator.parameters()];
-        let mut run = simulator.run_at(&theta);
+        let mut run = simulator.run_at(&vec![0.0; simulator.parameters()]);
         let late = lateness(run.events());
         let (first, end) = locate(run.events(), late, span.0 - late, span.1)?;
         let time = run.events()[first].time;
-        let (mean, std) = simulator.start(&theta, guess.0, guess.1, time);
+        let (mean, std) = simulator.start(guess.0, guess.1, time);
         let n = mean.len();
         let mean = DVector::from_vec(mean);
         let precision = DVector::from_iterator(n, std.iter().map(|s| s.max(1e-12).powi(-2)));

@@ -74,7 +74,7 @@ fn effects_act_one_command_at_a_time_as_they_do_along_a_recording() {
         let begin = experiment.samples[0].stamp;
         let mut start = vec![0.1, -0.2];
         start.resize(machine_states(&effect), 0.0);
-        let (start, _) = simulator(&experiment, &effect).start(&[], &start[..2], &[1.0; 2], begin);
+        let (start, _) = simulator(&experiment, &effect).start(&start[..2], &[1.0; 2], begin);
         let mut world = World::new(&machine, &experiment, begin, start, 1);
         let commands = &experiment.inputs[0];
         let mut sent = commands.times.partition_point(|t| *t < begin);
@@ -126,7 +126,7 @@ fn predicted(experiment: &Experiment, effect: &str) -> Vec<f64> {
     let readings = |index: usize, run: &dyn crate::simulator::Run| run.events()[index].reading;
     // The state is that at the first stamp, also where the readings then show an earlier time.
     let begin = run.events().iter().position(|e| e.time >= first.stamp - 1e-12).unwrap();
-    let (mut x, _) = simulator.start(&[], &[0.1, -0.2], &[1.0; 2], first.stamp);
+    let (mut x, _) = simulator.start(&[0.1, -0.2], &[1.0; 2], first.stamp);
     let (mut transition, mut prediction) = (Transition::default(), Prediction::default());
     let mut found = vec![f64::NAN; experiment.samples.len()];
     let count = run.events().len();

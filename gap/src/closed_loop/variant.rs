@@ -12,7 +12,7 @@ use super::world::{Machine, Sensor, World};
 use crate::bind::bind;
 use crate::equations::EquationsSimulator;
 use crate::experiment::Experiment;
-use crate::library::extra_spread;
+use crate::library::extra_std;
 use crate::setup::Setup;
 
 /// `system` with these values of its parameters, and with these effects beside its own.
@@ -106,7 +106,7 @@ impl<'a> Variant<'a> {
         let setup = &self.seen.setup;
         let simulator =
             EquationsSimulator::new(self.plant.clone(), Vec::new(), &setup.experiment, setup.step)
-                .with_extra_spread(extra_spread(setup, &self.plant));
+                .with_extra_std(extra_std(setup, &self.plant));
         let nothing = || ClosedLoopError::Start { title: self.seen.log.title.clone(), from };
         let guess = &setup.train.first().ok_or_else(nothing)?.guess;
         let span = (from, (from + setup.horizon).min(to));

@@ -129,7 +129,7 @@ impl Trial {
         let outputs = self.setup.experiment.wraps.len();
         let mut found: Vec<Vec<f64>> = vec![Vec::new(); outputs];
         let mut run = simulator.run_at(fit.theta());
-        let (start, _) = simulator.start(fit.theta(), &self.state, &self.std, 0.0);
+        let (start, _) = simulator.start(&self.state, &self.std, 0.0);
         let mut trajectory = Trajectory::from(start.as_slice());
         let (mut stamps, mut states) = (Vec::new(), Vec::new());
         for index in 0..run.events().len() {

@@ -341,12 +341,18 @@ fn mass(setup: &Setup, joint: usize) -> f64 {
     }
 }
 
-/// Natural size of a spring's deflection and of its rate, for one that swings in the middle of what can be seen.
-pub(super) fn deflection(setup: &Setup, joint: usize) -> (f64, f64) {
+/// Natural size of a spring's deflection and of its rate, for one that swings in the middle of what can be seen, or a softer one of the
+/// stated stiffness: no further than the joint goes.
+pub(super) fn deflection(setup: &Setup, joint: usize, stated: Option<f64>) -> (f64, f64) {
     let scale = &setup.joints[joint];
     let turns = TAU * 0.3 * HIGHEST / setup.period;
-    let size = scale.force / (turns * turns * scale.inertia * 0.25);
-    (0.5 * size, 0.2 * size * turns)
+    // Of equal halves of the inertia.
+    let usual = turns * turns * scale.inertia * 0.25;
+    let range = scale.position.width();
+    let softest = if range > 0.0 { scale.force / range } else { usual };
+    let stiffness = stated.map_or(usual, |stated| stated.max(softest).min(usual));
+    let size = scale.force / stiffness;
+    (0.5 * size, 0.2 * size * turns * (stiffness / usual).sqrt())
 }
 
 /// Highest frequency of a spring inside a joint that readings show, in their own frequency.

@@ -210,7 +210,7 @@ impl<'a> Believed<'a> {
             let (from, to) = (segment.from, segment.to);
             let Some((first, end)) = locate(run.events(), late, from, to) else { continue };
             let guess = &segment.guess;
-            let (state, std) = plain.start(theta, guess.state(from), guess.std(), run.events()[first].time);
+            let (state, std) = plain.start(guess.state(from), guess.std(), run.events()[first].time);
             starts.push(Start { first, end, from, counts_from: from, weighs_from: from, to, state, std });
             trained.push(is_trained);
         }

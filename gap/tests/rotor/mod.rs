@@ -93,7 +93,7 @@ pub(crate) fn simulator<'a>(
 /// Predictions in the order of the stamps, from one start of the nominal states, with their derivatives by θ.
 pub(crate) fn predictions(simulator: &EquationsSimulator<'_>, theta: &[f64]) -> (Vec<f64>, Vec<Vec<f64>>) {
     let p = simulator.parameters();
-    let (mut x, _) = simulator.start(theta, &[0.1, 0.4, 0.2], &[1.0; 3], 0.0);
+    let (mut x, _) = simulator.start(&[0.1, 0.4, 0.2], &[1.0; 3], 0.0);
     let n = x.len();
     let mut run: Box<dyn Run> = simulator.run(theta);
     let mut by = vec![0.0; n * p];

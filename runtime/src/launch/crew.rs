@@ -78,6 +78,8 @@ pub(super) enum State {
     Up,
     /// It ended, and is started again at this time.
     Down(Instant),
+    /// It is started again once the earlier one, whose line was closed at this time, is gone.
+    Leaving(Instant),
     /// It was started again at this time, and is not up yet.
     Coming(Instant),
     /// It has ended, and is not started again.
@@ -321,7 +323,10 @@ impl<'a> Crew<'a> {
             }
             let next = self.members.iter().filter_map(|member| match member.state {
                 State::Down(at) => Some(at.saturating_duration_since(Instant::now()).as_nanos() as Nanos),
-                _ => None,
+                // About to be gone.
+                State::Leaving(_) => Some(SHORTEST_TICK),
+                State::Up | State::Coming(_) => member.worker.line.closed().then_some(SHORTEST_TICK),
+                State::Over => None,
             });
             self.pause(tick.min(left).min(next.min().unwrap_or(tick)).max(1));
         }
@@ -384,7 +389,7 @@ impl<'a> Crew<'a> {
             })?;
             match members[node].state {
                 State::Up => Ok(node),
-                State::Down(_) | State::Coming(_) => {
+                State::Down(_) | State::Leaving(_) | State::Coming(_) => {
                     Err(format!("node `{name}` is being started again; ask again in a moment"))
                 }
                 State::Over => Err(format!("node `{name}` has ended")),

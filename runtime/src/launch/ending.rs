@@ -44,7 +44,7 @@ impl Crew<'_> {
         self.order_all(&Order::Stop);
         for member in &mut self.members {
             // Nobody is started again now.
-            if matches!(member.state, State::Down(_) | State::Coming(_)) {
+            if matches!(member.state, State::Down(_) | State::Leaving(_) | State::Coming(_)) {
                 member.state = State::Over;
                 member.worker.hang_up();
             }

@@ -48,7 +48,14 @@ impl Crew<'_> {
                 }
                 None => self.signs(node, clock),
             },
-            State::Down(at) if Instant::now() >= at => self.start_again(node, at, clock),
+            State::Down(at) if Instant::now() >= at => {
+                // One that failed has waited so that others could take what it had sent. Its ports are its own as long as it lives.
+                self.members[node].worker.hang_up();
+                let since = Instant::now();
+                self.members[node].state = State::Leaving(since);
+                self.start_again(node, since, clock)
+            }
+            State::Leaving(since) => self.start_again(node, since, clock),
             State::Coming(since) => self.comes(node, since, clock),
             State::Down(_) | State::Over => None,
         }
@@ -131,18 +138,17 @@ impl Crew<'_> {
         Next::Restart(settings.restart_delay.saturating_mul(factor).min(settings.restart_delay_max))
     }
 
-    /// Starts a node again that was to be from `at` on. The others are looked after while the earlier one takes its time to end.
-    fn start_again(&mut self, node: usize, at: Instant, clock: WallClock) -> Option<End> {
-        // One that failed has waited so that others could take what it had sent. Its ports are its own as long as it lives.
+    /// Starts a node again once the earlier one is gone, whose line was closed at `since`. The others are looked after while it takes its
+    /// time to end.
+    fn start_again(&mut self, node: usize, since: Instant, clock: WallClock) -> Option<End> {
         let worker = &mut self.members[node].worker;
-        worker.hang_up();
         if !worker.join(MOMENT) {
-            if at.elapsed() > 2 * ENDING {
+            if since.elapsed() > 2 * ENDING {
                 let reason = "the earlier one does not end, and a thread cannot be ended".into();
                 self.members[node].settings.restart = Restart::Never;
                 return self.ended(node, Exit::Failed { reason }, false, clock);
             }
-            if at.elapsed() > ENDING {
+            if since.elapsed() > ENDING {
                 worker.kill();
             }
             return None;

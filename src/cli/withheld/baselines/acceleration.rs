@@ -41,8 +41,7 @@ fn error(setup: &Setup, measured: &[Pass], simulator: &dyn Simulator, theta: &[f
     let last = run.events().len().saturating_sub(1);
     for (segment, pass) in setup.train.iter().zip(measured) {
         let n = pass.states();
-        let start =
-            simulator.start(&[], segment.guess.state(segment.from), segment.guess.std(), segment.from).0;
+        let start = simulator.start(segment.guess.state(segment.from), segment.guess.std(), segment.from).0;
         let mut along = Along::new(&start, p, 0);
         let at = |stamp: f64| run.events().partition_point(|event| event.time < stamp - 1e-9).min(last);
         let places: Vec<usize> = pass.stamp.iter().map(|stamp| at(*stamp)).collect();

@@ -57,7 +57,7 @@ fn error(setup: &Setup, simulator: &dyn Simulator, theta: &[f64]) -> Squares {
     let mut run = simulator.run(&theta[..own]);
     let count = run.events().len();
     let begin = run.events().iter().position(|event| event.time >= first.from).unwrap_or(0);
-    let start = simulator.start(&theta[..own], &theta[own..], first.guess.std(), first.from).0;
+    let start = simulator.start(&theta[own..], first.guess.std(), first.from).0;
     let mut along = Along::new(&start, own, p - own);
     for index in begin..count {
         if let Some(reading) = run.events()[index].reading {
