@@ -1,5 +1,6 @@
 //! The hypotheses a system allows: every effect at every place where it can act, and why others cannot.
 
+mod one_clock;
 mod possible;
 mod sizes;
 mod testable;

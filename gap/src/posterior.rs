@@ -80,6 +80,18 @@ pub struct Posterior {
     judge: Judge,
 }
 
+impl Answer {
+    /// Has it be another fit of the same weight, which is all of its class.
+    fn rename(&mut self, fit: Fit) {
+        let closed = self.members.first().map_or(0.0, |(.., closed)| *closed);
+        self.members = vec![(fit.hypothesis.effects.clone(), self.probability, closed)];
+        let most = self.logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        self.logs = vec![most + self.logs.iter().map(|log| (log - most).exp()).sum::<f64>().ln()];
+        self.class = vec![fit.hypothesis.label()];
+        (self.fit, self.alike) = (fit, Vec::new());
+    }
+}
+
 impl Posterior {
     /// The fit of the leading answer; the null fit where there is none.
     #[must_use]
@@ -118,16 +130,13 @@ impl Posterior {
         let others: Vec<Fit> = (0..effects.len()).into_par_iter().map(with).collect();
         let judge = &self.judge;
         let best = others.into_iter().min_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
-        let Some(best) = best.filter(|fit| judge.cost(fit) < judge.cost(&leader.fit) + DECISIVE) else {
-            return false;
+        let late = |fit: &Fit| {
+            let at = fit.hypothesis.effects.iter().position(|at| at == delay);
+            at.is_some_and(|at| !fit.is_nothing(at))
         };
-        let label = best.hypothesis.label();
-        let members = leader
-            .members
-            .first()
-            .map(|(_, probability, closed)| (best.hypothesis.effects.clone(), *probability, *closed));
-        (leader.class, leader.members) = (vec![label], members.into_iter().collect());
-        (leader.fit, leader.alike) = (best, Vec::new());
+        let even = |fit: &Fit| judge.cost(fit) < judge.cost(&leader.fit) + DECISIVE;
+        let Some(best) = best.filter(|fit| late(fit) && even(fit)) else { return false };
+        leader.rename(best);
         self.residual_on_leader = None;
         true
     }
@@ -224,6 +233,31 @@ impl Posterior {
         let residuals = self.residual_alone.iter_mut().chain(self.residual_on_leader.iter_mut());
         let residuals = residuals.chain(self.further_alone.iter_mut().map(|(_, fit)| fit));
         leading.chain(residuals).for_each(|fit| fit.hold_to_predictions(setup));
+    }
+
+    /// Leaves out of the leading answer each of its effects that ends where it changes nothing, if others are left, and fits these again.
+    pub(crate) fn leave_out_nothing(&mut self, setup: &Setup, null: &Fit) {
+        let Some(leader) = self.answers.first_mut() else { return };
+        let all = leader.fit.hypothesis.effects.iter().enumerate();
+        let kept: Vec<EffectAt> =
+            all.filter(|(k, _)| !leader.fit.is_nothing(*k)).map(|(_, at)| at.clone()).collect();
+        if kept.is_empty() || kept.len() == leader.fit.hypothesis.effects.len() {
+            return;
+        }
+        let mut fit = search::fit_part(setup, null, library::hypothesis(setup, &kept), &leader.fit);
+        fit.hold_to_predictions(setup);
+        // It may be an answer of its own, which this one is from now on.
+        let others = self.answers.split_off(1);
+        let (same, others): (Vec<_>, Vec<_>) =
+            others.into_iter().partition(|other| other.fit.hypothesis.effects == kept);
+        self.answers.extend(others);
+        let leader = &mut self.answers[0];
+        for other in same {
+            leader.probability += other.probability;
+            leader.logs.extend(other.logs);
+        }
+        leader.rename(fit);
+        self.residual_on_leader = None;
     }
 
     /// Weighs the answers as what there is beside a cause that was found apart from them, one that leaves predictions as they are.

@@ -104,17 +104,24 @@ fn size(setup: &Setup, at: &EffectAt, index: usize, spec: &EffectParameter, fitt
         // All of it, where both states are of one unit.
         Q::Overflow => sized(fitted, 1.0, &[0.5]),
         Q::Level | Q::LevelRate | Q::PerLevel | Q::Low | Q::High => level(setup, at, index, spec, fitted),
-        Q::Reading => {
-            sized(fitted, 0.3 * setup.output_scale[index].max(setup.output_noise[index]), &[0.0]);
-        }
+        Q::Reading => sized(fitted, 0.3 * reading(setup, index), &[0.0]),
         Q::ReadingRate => {
             let (from, to) = setup.experiment.span();
-            let size = 0.3 * setup.output_scale[index].max(setup.output_noise[index]);
-            sized(fitted, size / (to - from).max(1e-9), &[0.0]);
+            sized(fitted, 0.3 * reading(setup, index) / (to - from).max(1e-9), &[0.0]);
         }
         Q::Parameter => {}
         _ => joint(setup, index, at.effect, spec.quantity, fitted),
     }
+}
+
+/// Noise units within which the readings of a machine that rests stay.
+const RESTS: f64 = 10.0;
+
+/// Natural size of an output's readings: their deviation; where they rest, which says nothing of how far they go, what they read.
+fn reading(setup: &Setup, output: usize) -> f64 {
+    let (scale, noise) = (setup.output_scale[output], setup.output_noise[output]);
+    let level = if scale < RESTS * noise { setup.output_range[output].middle().abs() } else { 0.0 };
+    scale.max(noise).max(level)
 }
 
 /// Parameters in the unit of a command, a state or a reading.

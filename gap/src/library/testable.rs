@@ -2,6 +2,7 @@
 
 use parallax_model::effect::{Effect, PlaceKind};
 
+use super::one_clock::stamped_with;
 use crate::hypothesis::EffectAt;
 use crate::setup::Setup;
 
@@ -43,6 +44,11 @@ pub(super) fn testable(setup: &Setup, at: &EffectAt, index: usize) -> Result<(),
             LARGEST_SKEW * (to - from) > 0.5 * setup.period,
             &format!("{:.1} s are too short for clocks to part", to - from),
         )?;
+        if let Some(other) = stamped_with(setup, at.place.kind, index) {
+            return Err(format!(
+                "one clock stamped it and `{other}`: their stamps are the same, irregular as they are"
+            ));
+        }
     }
     Ok(())
 }

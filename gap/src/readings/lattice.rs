@@ -8,6 +8,9 @@ const TOLERANCE: f64 = 0.05;
 /// Share of differences that must lie on the lattice.
 const ON_IT: f64 = 0.97;
 
+/// Changes of a reading that show a lattice, at least.
+pub(super) const SHOW_A_LATTICE: usize = 20;
+
 /// A lattice of values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lattice {
@@ -40,7 +43,7 @@ pub fn lattice(values: &[f64]) -> Option<Lattice> {
     let rounding = 1e-9 * largest;
     let differences: Vec<f64> =
         values.windows(2).map(|w| (w[1] - w[0]).abs()).filter(|d| *d > rounding).collect();
-    if differences.len() < 20 {
+    if differences.len() < SHOW_A_LATTICE {
         return None;
     }
     let smallest = differences.iter().copied().fold(f64::INFINITY, f64::min);

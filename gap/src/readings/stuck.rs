@@ -4,7 +4,7 @@ use std::f64::consts::SQRT_2;
 
 use parallax_runtime::delay::special::normal_cdf;
 
-use super::lattice::Lattice;
+use super::lattice::{Lattice, SHOW_A_LATTICE};
 use super::local::Local;
 use super::peak::{Peak, peak};
 use crate::simulator::wrapped;
@@ -23,7 +23,7 @@ pub(super) struct Repeats {
 pub(super) fn repeats(local: &Local, wrap: Option<f64>, lattice: Option<Lattice>) -> Repeats {
     let (value, n) = (&local.value, local.value.len());
     let largest = value.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
-    let step = lattice.map_or(0.0, |l| l.step);
+    let step = lattice.map_or_else(|| at_most(value, 1e-12 * largest), |l| l.step);
     // Rounding is part of what neighbours show of the noise.
     let noise = (local.robust().powi(2) - step * step / 12.0).max(0.0).sqrt();
     let same = |k: usize| (value[k] - value[k - 1]).abs() <= 1e-12 * largest;
@@ -64,6 +64,14 @@ pub(super) fn repeats(local: &Local, wrap: Option<f64>, lattice: Option<Lattice>
     Repeats { repeats: out }
 }
 
+/// The longest step of which readings can be that hardly ever change, those of a machine that rests: too few changes show a lattice,
+/// and none rules it out. 0 where there are enough.
+fn at_most(value: &[f64], rounding: f64) -> f64 {
+    let changes = value.windows(2).map(|w| (w[1] - w[0]).abs()).filter(|change| *change > rounding);
+    let (count, least) = changes.fold((0, f64::INFINITY), |(count, least), c| (count + 1, c.min(least)));
+    if count < SHOW_A_LATTICE && least.is_finite() { least } else { 0.0 }
+}
+
 /// Probability that two readings round to one step while the quantity moves by `motion` and noise of `std` is added.
 fn in_one_step(motion: f64, std: f64, step: f64) -> f64 {
     // Averaged over where in the step the first reading lies: E max(0, 1 − |motion + noise|/step).
@@ -95,5 +103,31 @@ impl Repeats {
     /// Readings that are stuck rather than equal by chance, at this rate.
     pub(super) fn stuck(&self, rate: f64) -> Vec<bool> {
         self.repeats.iter().map(|(repeated, p)| *repeated && *p < 0.2 * rate).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn stuck(values: Vec<f64>) -> usize {
+        let stamps = (0..values.len()).map(|k| 0.01 * k as f64).collect();
+        let repeats = repeats(&Local::new(stamps, values, None), None, None);
+        repeats.stuck(0.95).iter().filter(|stuck| **stuck).count()
+    }
+
+    #[test]
+    fn a_machine_that_rests_is_not_stuck() {
+        // An encoder that stands between two of its steps, and then on one of them.
+        let resting = |k: usize| if k < 60 || k == 63 { -0.0116 } else { -0.01 };
+        assert_eq!(stuck((0..200).map(resting).collect()), 0);
+    }
+
+    #[test]
+    fn a_sensor_that_repeats_itself_in_motion_is() {
+        let moving = |k: usize| (0.05 * k as f64).sin();
+        let repeating = |k: usize| moving(if k % 50 == 7 { k - 1 } else { k });
+        assert_eq!(stuck((0..200).map(repeating).collect()), 4);
+        assert_eq!(stuck((0..200).map(moving).collect()), 0);
     }
 }

@@ -134,6 +134,14 @@ impl Fit {
         self.hypothesis.of_effect(effect).any(near)
     }
 
+    /// Whether an effect ended where it changes nothing.
+    #[must_use]
+    pub fn is_nothing(&self, effect: usize) -> bool {
+        let (fitted, value) = (&self.hypothesis.fitted, self.estimate());
+        let at_null = |k: usize| (value[k] - fitted[k].null).abs() < RESTS * fitted[k].scale;
+        self.hypothesis.of_effect(effect).all(at_null)
+    }
+
     /// The parameters by innovation likelihood, at which the evidence was taken.
     #[must_use]
     pub fn theta(&self) -> &[f64] {
