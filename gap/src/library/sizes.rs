@@ -114,13 +114,11 @@ fn size(setup: &Setup, at: &EffectAt, index: usize, spec: &EffectParameter, fitt
     }
 }
 
-/// Noise units within which the readings of a machine that rests stay.
-const RESTS: f64 = 10.0;
-
-/// Natural size of an output's readings: their deviation; where they rest, which says nothing of how far they go, what they read.
+/// Natural size of an output's readings: their deviation; where that is no more than the noise, because the machine rests, which says
+/// nothing of how far they go, what they read.
 fn reading(setup: &Setup, output: usize) -> f64 {
     let (scale, noise) = (setup.output_scale[output], setup.output_noise[output]);
-    let level = if scale < RESTS * noise { setup.output_range[output].middle().abs() } else { 0.0 };
+    let level = if scale < noise { setup.output_range[output].middle().abs() } else { 0.0 };
     scale.max(noise).max(level)
 }
 
