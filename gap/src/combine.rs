@@ -96,16 +96,9 @@ pub fn combinations(
             continue;
         }
         let base = combine.shortened(base);
-        if let [at] = &base.hypothesis.effects[..] {
-            // What was beside it was nothing, and it is fitted better from there than on its own way.
-            let known = fits.iter().find(|f| f.hypothesis.effects == [at.clone()]);
-            let better =
-                known.is_some_and(|known| combine.judge.cost(&base) < combine.judge.cost(known) - EVEN);
-            found.extend(Some(base).filter(|base| better && library::is_possible(setup, base)));
-            continue;
-        }
         let known = |other: &Fit| same(&other.hypothesis.effects, &base.hypothesis.effects);
-        if found.iter().any(known)
+        if base.hypothesis.effects.len() < 2
+            || found.iter().any(known)
             || waves::are_one(&base)
             || combine.explained_by_one(&base, fits.iter().chain(&found))
         {
@@ -186,7 +179,7 @@ impl Combine<'_> {
 
     /// Whether a single effect with which the noise is reached explains as much as several do, whichever they began with, or, where
     /// some hypothesis reaches it, one of them: then these only share out what the one does. One that is their sum need not,
-    /// where it reaches the noise and they explain nothing material beyond it. Of the `others` only single effects count.
+    /// where it reaches the noise. Of the `others` only single effects count.
     fn explained_by_one<'f>(&self, fit: &Fit, others: impl Iterator<Item = &'f Fit>) -> bool {
         let left = OnceCell::new();
         let left = || *left.get_or_init(|| most_left(self.setup, fit, &self.pool));
@@ -196,8 +189,7 @@ impl Combine<'_> {
         let singles = others.filter(|other| other.hypothesis.effects.len() == 1);
         let mut enough = singles.filter(|single| exact(single) || (self.judge.is_exact() && own(single)));
         enough.any(|single| {
-            let is_sum = is_sum(&single.hypothesis.effects[0], &fit.hypothesis.effects);
-            (is_sum && exact(single) && !self.judge.is_material(fit, single))
+            is_sum(&single.hypothesis.effects[0], &fit.hypothesis.effects) && exact(single)
                 || !self.judge.is_worth_or(fit, single, left)
         })
     }

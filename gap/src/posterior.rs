@@ -1,5 +1,6 @@
 //! The weights of the answers: evidence, tempered, gathered into classes that the data cannot tell apart.
 
+mod answer;
 mod classes;
 mod doubt;
 
@@ -16,6 +17,7 @@ use crate::setup::Setup;
 use crate::signature::{self, Nuisance, SAME};
 use crate::stop::UNKNOWN;
 use crate::unknown;
+pub use answer::Answer;
 use classes::{beyond_its_range, gives_way, lead_with_the_simplest};
 pub(crate) use doubt::Left;
 use rayon::prelude::*;
@@ -40,23 +42,6 @@ const BESIDE_ACTED: f64 = 0.1;
 /// Answers whose estimates are held to predictions of what was fitted.
 const HELD: usize = 4;
 
-/// One answer: a leading effect and those that cannot be told from it.
-#[derive(Clone, Debug)]
-pub struct Answer {
-    /// The leader's fit.
-    pub fit: Fit,
-    /// The fits of the class' other members, in its order.
-    pub alike: Vec<Fit>,
-    /// Labels of the class, the leader first.
-    pub class: Vec<String>,
-    /// Effects of each member of the class, with its probability and the share of the training gap that it closes.
-    pub members: Vec<(Vec<EffectAt>, f64, f64)>,
-    /// Probability of the class.
-    pub probability: f64,
-    /// Natural logarithms of prior times tempered evidence, in the order of the class.
-    logs: Vec<f64>,
-}
-
 /// All answers, by probability.
 #[derive(Clone, Debug)]
 pub struct Posterior {
@@ -78,18 +63,6 @@ pub struct Posterior {
     further_alone: Vec<(f64, Fit)>,
     residual_on_leader: Option<Fit>,
     judge: Judge,
-}
-
-impl Answer {
-    /// Has it be another fit of the same weight, which is all of its class.
-    fn rename(&mut self, fit: Fit) {
-        let closed = self.members.first().map_or(0.0, |(.., closed)| *closed);
-        self.members = vec![(fit.hypothesis.effects.clone(), self.probability, closed)];
-        let most = self.logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        self.logs = vec![most + self.logs.iter().map(|log| (log - most).exp()).sum::<f64>().ln()];
-        self.class = vec![fit.hypothesis.label()];
-        (self.fit, self.alike) = (fit, Vec::new());
-    }
 }
 
 impl Posterior {
@@ -136,7 +109,7 @@ impl Posterior {
         };
         let even = |fit: &Fit| judge.cost(fit) < judge.cost(&leader.fit) + DECISIVE;
         let Some(best) = best.filter(|fit| late(fit) && even(fit)) else { return false };
-        leader.rename(best);
+        leader.exchange(best);
         self.residual_on_leader = None;
         true
     }
@@ -233,31 +206,6 @@ impl Posterior {
         let residuals = self.residual_alone.iter_mut().chain(self.residual_on_leader.iter_mut());
         let residuals = residuals.chain(self.further_alone.iter_mut().map(|(_, fit)| fit));
         leading.chain(residuals).for_each(|fit| fit.hold_to_predictions(setup));
-    }
-
-    /// Leaves out of the leading answer each of its effects that ends where it changes nothing, if others are left, and fits these again.
-    pub(crate) fn leave_out_nothing(&mut self, setup: &Setup, null: &Fit) {
-        let Some(leader) = self.answers.first_mut() else { return };
-        let all = leader.fit.hypothesis.effects.iter().enumerate();
-        let kept: Vec<EffectAt> =
-            all.filter(|(k, _)| !leader.fit.is_nothing(*k)).map(|(_, at)| at.clone()).collect();
-        if kept.is_empty() || kept.len() == leader.fit.hypothesis.effects.len() {
-            return;
-        }
-        let mut fit = search::fit_part(setup, null, library::hypothesis(setup, &kept), &leader.fit);
-        fit.hold_to_predictions(setup);
-        // It may be an answer of its own, which this one is from now on.
-        let others = self.answers.split_off(1);
-        let (same, others): (Vec<_>, Vec<_>) =
-            others.into_iter().partition(|other| other.fit.hypothesis.effects == kept);
-        self.answers.extend(others);
-        let leader = &mut self.answers[0];
-        for other in same {
-            leader.probability += other.probability;
-            leader.logs.extend(other.logs);
-        }
-        leader.rename(fit);
-        self.residual_on_leader = None;
     }
 
     /// Weighs the answers as what there is beside a cause that was found apart from them, one that leaves predictions as they are.

@@ -18,9 +18,9 @@ impl Combine<'_> {
         let mut rest = fit.hypothesis.effects.clone();
         rest.remove(left_out);
         match self.fits.iter().find(|f| same(&f.hypothesis.effects, &rest)) {
-            Some(known) if !fit.is_nothing(left_out) => known.clone(),
-            // From where they are beside it; another start may have missed them, as it has where it is nothing beside them.
-            _ => fit_part(self.setup, self.null, library::hypothesis(self.setup, &rest), fit),
+            Some(known) => known.clone(),
+            // From where they are beside it; another start may have missed them.
+            None => fit_part(self.setup, self.null, library::hypothesis(self.setup, &rest), fit),
         }
     }
 

@@ -133,7 +133,6 @@ impl Rounds<'_> {
             progress((0.5 + 0.1 * k as f64).min(1.0), label);
         });
         answers.hold_to_predictions(&setup);
-        answers.leave_out_nothing(&setup, &null);
         let mut columns = columns;
         columns.extend(
             unknown::kinds(&setup).into_iter().map(|kind| unknown::columns(&setup, &null, &null, kind)),

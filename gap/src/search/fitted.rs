@@ -135,8 +135,7 @@ impl Fit {
     }
 
     /// Whether an effect ended where it changes nothing.
-    #[must_use]
-    pub fn is_nothing(&self, effect: usize) -> bool {
+    pub(crate) fn is_nothing(&self, effect: usize) -> bool {
         let (fitted, value) = (&self.hypothesis.fitted, self.estimate());
         let at_null = |k: usize| (value[k] - fitted[k].null).abs() < RESTS * fitted[k].scale;
         self.hypothesis.of_effect(effect).all(at_null)

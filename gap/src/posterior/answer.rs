@@ -1,0 +1,33 @@
+//! One answer of several.
+
+use crate::hypothesis::EffectAt;
+use crate::search::Fit;
+
+/// One answer: a leading effect and those that cannot be told from it.
+#[derive(Clone, Debug)]
+pub struct Answer {
+    /// The leader's fit.
+    pub fit: Fit,
+    /// The fits of the class' other members, in its order.
+    pub alike: Vec<Fit>,
+    /// Labels of the class, the leader first.
+    pub class: Vec<String>,
+    /// Effects of each member of the class, with its probability and the share of the training gap that it closes.
+    pub members: Vec<(Vec<EffectAt>, f64, f64)>,
+    /// Probability of the class.
+    pub probability: f64,
+    /// Natural logarithms of prior times tempered evidence, in the order of the class.
+    pub(super) logs: Vec<f64>,
+}
+
+impl Answer {
+    /// Puts another fit in its place, of the same weight, which is all of its class.
+    pub(super) fn exchange(&mut self, fit: Fit) {
+        let closed = self.members.first().map_or(0.0, |(.., closed)| *closed);
+        self.members = vec![(fit.hypothesis.effects.clone(), self.probability, closed)];
+        let most = self.logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        self.logs = vec![most + self.logs.iter().map(|log| (log - most).exp()).sum::<f64>().ln()];
+        self.class = vec![fit.hypothesis.label()];
+        (self.fit, self.alike) = (fit, Vec::new());
+    }
+}
