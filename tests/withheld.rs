@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use command::counts;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 /// One single and one null, nothing else, from a seed for development.
 fn withheld(out: &Path, more: &[&str]) -> Output {
@@ -112,4 +112,31 @@ fn two_cases_are_made_sealed_diagnosed_and_scored() {
     assert_eq!(nothing.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&nothing.stderr).contains("no sealed run"));
     assert!(!nowhere.exists());
+}
+
+/// A pair of a past run whose second cause shows only once the first is part of the system: what the first one's fit leaves has its lines
+/// elsewhere, since a filter that takes a slow wave for noise follows it.
+#[test]
+fn a_slow_wave_beside_a_limited_rate_is_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let case = folder.path().join("case");
+    fs::create_dir(&case).unwrap();
+    let plan = serde_json::from_value(json!({ "set": "pair", "system": 2, "effect": 36 })).unwrap();
+    parallax_withheld_truth::write(&plan, 16_773_109_383_392_786_249, &case).unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_parallax"))
+        .args(["diagnose", "--json", "--only", "rate_limit", "--only", "periodic_disturbance", "--system"])
+        .arg(case.join("system.toml"))
+        .arg(&case)
+        .arg("--out")
+        .arg(folder.path().join("out"))
+        .output()
+        .unwrap();
+    let report = scores(&output);
+    let effects = report["which"][0]["effects"].as_array().unwrap();
+    let mut names: Vec<&str> = effects.iter().map(|effect| effect["name"].as_str().unwrap()).collect();
+    names.sort_unstable();
+    assert_eq!(names, ["periodic_disturbance", "rate_limit"], "{}", report["summary"]);
+    let wave = effects.iter().find(|effect| effect["name"] == "periodic_disturbance").unwrap();
+    let frequency = wave["parameters"]["frequency"]["value"].as_f64().unwrap();
+    assert!((frequency - 1.173_87).abs() < 0.001, "{frequency} Hz");
 }

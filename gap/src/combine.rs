@@ -18,6 +18,7 @@ use crate::setup::Setup;
 use crate::stop::SEVERAL;
 use grow::{Beginnings, Grown};
 pub use promise::by_promise;
+pub use promise::most_of;
 use promise::{leaves_nothing, most_left};
 
 /// Single effects from which combinations begin in any case.
@@ -59,14 +60,7 @@ pub fn combinations(
     (forms, tried): (&[EffectAt], &[EffectAt]),
     judge: &Judge,
 ) -> Vec<Fit> {
-    let helps = |alone: &Fit| judge.cost(alone) < judge.cost(null) - WORTH;
-    let pool = fits.iter().filter_map(|alone| {
-        Some(Candidate { at: alone.hypothesis.effects.first()?, alone, helps: helps(alone) })
-    });
-    let mut pool: Vec<Candidate<'_>> = pool.collect();
-    pool.extend(other_sides(&pool, forms));
-    pool.extend(limits_of_commands(&pool, tried, null));
-    let mut combine = Combine { setup, null, fits, forms, pool, judge: *judge };
+    let mut combine = Combine::new(setup, null, fits, (forms, tried), judge);
     let Beginnings { first, further } = combine.beginnings();
     let mut found: Vec<Fit> = Vec::new();
     for (k, base) in first.iter().chain(&further).enumerate() {
@@ -92,27 +86,26 @@ pub fn combinations(
         if setup.stop.asked() {
             return found;
         }
-        if base.hypothesis.effects.len() < 2 {
-            continue;
-        }
-        let base = combine.shortened(base);
-        let known = |other: &Fit| same(&other.hypothesis.effects, &base.hypothesis.effects);
-        if base.hypothesis.effects.len() < 2
-            || found.iter().any(known)
-            || waves::are_one(&base)
-            || combine.explained_by_one(&base, fits.iter().chain(&found))
-        {
-            continue;
-        }
-        let singles = combine.restarted(&base);
-        if !combine.explained_by_one(&base, singles.iter()) {
-            let others = combine.twins(&base);
-            found.push(base);
-            found.extend(others);
-        }
-        found.extend(singles);
+        let finished = combine.finished(base, &found);
+        found.extend(finished);
     }
     found
+}
+
+/// What comes of a hypothesis of several effects that was found otherwise: with more of them, and without those that are not needed;
+/// nothing where one of `fits`, or of what was `found` before, explains as much. The other arguments are those of [`combinations`].
+#[must_use]
+pub fn beside(
+    setup: &Setup,
+    null: &Fit,
+    (fits, found): (&[Fit], &[Fit]),
+    (forms, tried): (&[EffectAt], &[EffectAt]),
+    joint: Fit,
+) -> Vec<Fit> {
+    let judge = Judge::new(null, fits.iter().chain(found).chain([&joint]));
+    let mut combine = Combine::new(setup, null, fits, (forms, tried), &judge);
+    let grown = combine.grown(joint).fit;
+    combine.finished(grown, found)
 }
 
 /// The stops on the other side of a joint than those that explain most alone: either may be there.
@@ -161,7 +154,50 @@ fn again(setup: &Setup, null: &Fit, known: &Fit, beside: &Fit, judge: &Judge) ->
     (better && library::is_possible(setup, &single)).then_some(single)
 }
 
-impl Combine<'_> {
+impl<'a> Combine<'a> {
+    fn new(
+        setup: &'a Setup,
+        null: &'a Fit,
+        fits: &'a [Fit],
+        (forms, tried): (&'a [EffectAt], &'a [EffectAt]),
+        judge: &Judge,
+    ) -> Self {
+        let helps = |alone: &Fit| judge.cost(alone) < judge.cost(null) - WORTH;
+        let pool = fits.iter().filter_map(|alone| {
+            Some(Candidate { at: alone.hypothesis.effects.first()?, alone, helps: helps(alone) })
+        });
+        let mut pool: Vec<Candidate<'_>> = pool.collect();
+        pool.extend(other_sides(&pool, forms));
+        pool.extend(limits_of_commands(&pool, tried, null));
+        Combine { setup, null, fits, forms, pool, judge: *judge }
+    }
+
+    /// A combination without what it does not need, and those that are as good; nothing where one of what was `found` before explains as
+    /// much. Single effects that are fitted better from where they are in it are among what it gives.
+    fn finished(&self, base: Fit, found: &[Fit]) -> Vec<Fit> {
+        if base.hypothesis.effects.len() < 2 {
+            return Vec::new();
+        }
+        let base = self.shortened(base);
+        let known = |other: &Fit| same(&other.hypothesis.effects, &base.hypothesis.effects);
+        if base.hypothesis.effects.len() < 2
+            || found.iter().any(known)
+            || waves::are_one(&base)
+            || self.explained_by_one(&base, self.fits.iter().chain(found))
+        {
+            return Vec::new();
+        }
+        let singles = self.restarted(&base);
+        let mut out = Vec::new();
+        if !self.explained_by_one(&base, singles.iter()) {
+            let others = self.twins(&base);
+            out.push(base);
+            out.extend(others);
+        }
+        out.extend(singles);
+        out
+    }
+
     /// An effect alone [`again`].
     fn again(&self, known: &Fit, beside: &Fit) -> Option<Fit> {
         again(self.setup, self.null, known, beside, &self.judge)
@@ -230,7 +266,7 @@ impl Combine<'_> {
 }
 
 /// Whether two effects are one, or one contains the other at its place: they are alternatives, not companions.
-fn overlap(a: &EffectAt, b: &EffectAt) -> bool {
+pub fn overlap(a: &EffectAt, b: &EffectAt) -> bool {
     let contains =
         |a: &EffectAt, b: &EffectAt| a.effect == b.effect || a.effect.simpler().contains(&b.effect);
     a.place == b.place && (contains(a, b) || contains(b, a))

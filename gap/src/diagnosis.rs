@@ -1,5 +1,6 @@
 //! The diagnosis from end to end: bind, fit, weigh, localise, quantify, report.
 
+mod beside;
 mod causes;
 mod claims;
 mod error;

@@ -3,10 +3,10 @@
 mod answer;
 mod classes;
 mod doubt;
+mod gathered;
 
 use nalgebra::DVector;
 
-use crate::combine;
 use crate::fit::TEMPERATURE;
 use crate::hypothesis::EffectAt;
 use crate::judge::{self, DECISIVE, EVEN, Judge, WORTH};
@@ -20,6 +20,7 @@ use crate::unknown;
 pub use answer::Answer;
 use classes::{beyond_its_range, gives_way, lead_with_the_simplest};
 pub(crate) use doubt::Left;
+pub use gathered::Gathered;
 use rayon::prelude::*;
 
 /// Prior probability that there is no gap, and that no named effect describes it; effects share the rest equally.
@@ -318,51 +319,18 @@ impl Posterior {
     }
 }
 
-/// Weighs single effects, of all that were `tried`, no gap and the unknowns; `done` is told of each unknown that was fitted, four at
-/// most.
+/// Weighs what was gathered, no gap and the unknowns; `done` is told of each unknown that was fitted, four at most.
 #[must_use]
 pub fn weigh(
     setup: &Setup,
     null: &Fit,
     nuisance: &Nuisance,
-    mut fits: Vec<Fit>,
-    tried: &[EffectAt],
+    gathered: Gathered,
     options: &Options,
     done: &(dyn Fn(&str) + Sync),
 ) -> Posterior {
+    let Gathered { fits, forms, count, .. } = gathered;
     let judge = Judge::new(null, &fits);
-    let by_cost = |a: &Fit, b: &Fit| judge.cost(a).total_cmp(&judge.cost(b));
-    fits.sort_by(by_cost);
-    for (k, better) in combine::forms_to_spare(setup, null, &fits, &judge) {
-        fits[k] = better;
-    }
-    fits.sort_by(by_cost);
-    let all_forms: Vec<EffectAt> =
-        fits.iter().filter_map(|f| f.hypothesis.effects.first().cloned()).collect();
-    let forms = best_forms(&mut fits);
-    let (mut forms, count) = (forms, fits.len());
-    let combined = combine::combinations(setup, null, &fits, (&all_forms, tried), &judge);
-    let (singles, combined): (Vec<Fit>, Vec<Fit>) =
-        combined.into_iter().partition(|fit| fit.hypothesis.effects.len() == 1);
-    for single in singles {
-        let effects = &single.hypothesis.effects;
-        let known = fits.iter_mut().find(|fit| fit.hypothesis.effects == *effects);
-        if let Some(known) = known.filter(|known| judge.cost(&single) < judge.cost(known)) {
-            *known = single;
-        }
-    }
-    forms.resize(count + combined.len(), 1.0);
-    fits.extend(combined);
-    let judge = Judge::new(null, &fits);
-    let mut order: Vec<usize> = (0..fits.len()).collect();
-    order.sort_by(|a, b| judge.cost(&fits[*a]).total_cmp(&judge.cost(&fits[*b])).then(a.cmp(b)));
-    // Of those that are even the one with the fewest effects leads.
-    let even = order.iter().take_while(|k| judge.cost(&fits[**k]) < judge.cost(&fits[order[0]]) + EVEN);
-    if let Some(first) = (0..even.count()).min_by_key(|k| fits[order[*k]].hypothesis.effects.len()) {
-        order[..=first].rotate_right(1);
-    }
-    let forms: Vec<f64> = order.iter().map(|k| forms[*k]).collect();
-    let fits: Vec<Fit> = order.into_iter().map(|k| fits[k].clone()).collect();
     let weight = |fit: &Fit| {
         let effects = &fit.hypothesis.effects;
         let further = (PRIOR_FURTHER / count as f64).powi(effects.len() as i32 - 1);
@@ -479,21 +447,4 @@ fn residual_on(
         })
         .collect();
     fits.into_iter().min_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)))
-}
-
-/// Keeps the best of an effect's forms at a place, from fits in the order of their cost. Gives how many forms each had:
-/// they share the prior of the effect.
-fn best_forms(fits: &mut Vec<Fit>) -> Vec<f64> {
-    let labels: Vec<String> = fits.iter().map(|f| f.hypothesis.label()).collect();
-    let mut forms = Vec::new();
-    let mut index = 0;
-    fits.retain(|_| {
-        let first = !labels[..index].contains(&labels[index]);
-        if first {
-            forms.push(labels.iter().filter(|l| **l == labels[index]).count() as f64);
-        }
-        index += 1;
-        first
-    });
-    forms
 }

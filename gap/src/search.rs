@@ -343,6 +343,21 @@ pub fn fit_hypothesis(setup: &Setup, base: &Fit, hypothesis: Hypothesis) -> Fit 
 #[must_use]
 pub fn fit_part(setup: &Setup, null: &Fit, hypothesis: Hypothesis, whole: &Fit) -> Fit {
     let mut start: Vec<f64> = hypothesis.fitted.iter().map(|f| f.null).collect();
+    start_where(whole, &hypothesis, &mut start);
+    fit_at(setup, null, hypothesis, &start)
+}
+
+/// Fits the effects of two fits together, from where they are in these, calibrated parameters as the second has them.
+#[must_use]
+pub fn fit_together(setup: &Setup, hypothesis: Hypothesis, first: &Fit, second: &Fit) -> Fit {
+    let mut start: Vec<f64> = hypothesis.fitted.iter().map(|f| f.null).collect();
+    start_where(first, &hypothesis, &mut start);
+    start_where(second, &hypothesis, &mut start);
+    fit_at(setup, first, hypothesis, &start)
+}
+
+/// Puts what a hypothesis has in common with a fit where that has it.
+fn start_where(whole: &Fit, hypothesis: &Hypothesis, start: &mut [f64]) {
     for (e, at) in hypothesis.effects.iter().enumerate() {
         let known = whole.hypothesis.effects.iter();
         let same = known.clone().position(|other| other == at);
@@ -367,8 +382,12 @@ pub fn fit_part(setup: &Setup, null: &Fit, hypothesis: Hypothesis, whole: &Fit) 
             }
         }
     }
-    match shoot_from(setup, null, &hypothesis, std::slice::from_ref(&start), Effort::Full) {
-        Some(shot) => refine(setup, null, hypothesis, shot, &start, Effort::Full),
+}
+
+/// Fits a hypothesis from one start.
+fn fit_at(setup: &Setup, null: &Fit, hypothesis: Hypothesis, start: &[f64]) -> Fit {
+    match shoot_from(setup, null, &hypothesis, &[start.to_vec()], Effort::Full) {
+        Some(shot) => refine(setup, null, hypothesis, shot, start, Effort::Full),
         None => null.clone(),
     }
 }

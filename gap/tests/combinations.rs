@@ -1,11 +1,9 @@
 //! Two causes at once, from an integrator that shares nothing with the library.
 
-mod support;
-
+use crate::support::{Hidden, SYSTEM, record};
 use parallax_gap::diagnosis::{Options, diagnose_experiment};
 use parallax_gap::report::Report;
 use parallax_model::system::System;
-use support::{Hidden, SYSTEM, record};
 
 fn diagnose(hidden: Hidden, seed: u64) -> Report {
     let equations = System::parse(SYSTEM, "pendulum.toml").expect("valid").equations().expect("complete");

@@ -1,10 +1,8 @@
 //! Every effect of the library, hidden in a world with formulas of its own, and found by the diagnosis.
 
-mod support;
-
+use crate::support::{Hidden, SYSTEM, record};
 use parallax_gap::diagnosis::{Diagnosis, Options, diagnose_experiment};
 use parallax_model::system::System;
-use support::{Hidden, SYSTEM, record};
 
 /// Long enough for three blocks of held-out time.
 const DURATION: f64 = 12.0;

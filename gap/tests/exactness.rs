@@ -1,7 +1,6 @@
 //! Derivatives, the order of events and what a reading sees: what the fits rely on.
 
-mod support;
-
+use crate::support::{Hidden, SYSTEM, record};
 use parallax_gap::diagnosis::{Options, diagnose_experiment};
 use parallax_gap::equations::EquationsSimulator;
 use parallax_gap::experiment::{Experiment, Held, Sample};
@@ -10,7 +9,6 @@ use parallax_gap::simulator::{Prediction, Run, Simulator, Transition, wrapped};
 use parallax_model::effect::{Effect, PlaceKind};
 use parallax_model::plant::Plant;
 use parallax_model::system::System;
-use support::{Hidden, SYSTEM, record};
 
 /// A pendulum with an effect of every kind that can act together, at delays between samples.
 fn with_effects(experiment: &Experiment) -> (EquationsSimulator<'_>, Vec<f64>) {

@@ -1,15 +1,12 @@
 //! Time that is held out: what happens in it alone, and what an exact model's predictions of it are off by.
 
-#[path = "support/rail.rs"]
-mod rail;
-
+use crate::support::rail::SLIDE;
 use parallax_gap::diagnosis::{Options, diagnose_experiment};
 use parallax_gap::experiment::{Experiment, Held, Sample};
 use parallax_gap::report::Report;
 use parallax_gap::setup::Setup;
 use parallax_gap::{floor, library, quantify, search};
 use parallax_model::system::{Equations, System};
-use rail::SLIDE;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};

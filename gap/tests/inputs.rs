@@ -1,11 +1,9 @@
 //! What a user can get wrong: each error names the place and the remedy.
 
-mod support;
-
+use crate::support::{Hidden, SYSTEM, record};
 use parallax_gap::diagnosis::{Options, diagnose};
 use parallax_model::system::System;
 use parallax_runtime::recording::log::{Log, Role, Signal, Source};
-use support::{Hidden, SYSTEM, record};
 
 /// The log of a pendulum, as an import gives it.
 fn log(duration: f64) -> Log {

@@ -1,12 +1,9 @@
 //! Commands that are late where they are large are told from commands that are late, and from commands that are late by chance: the
 //! first is no effect of the library, and said to be there.
 
-#[path = "support/axis.rs"]
-mod axis;
-
 use std::collections::VecDeque;
 
-use axis::labelled;
+use crate::support::axis::labelled;
 use parallax_gap::experiment::{Held, Sample};
 use parallax_gap::report::Report;
 use rand::SeedableRng;
@@ -48,7 +45,7 @@ fn diagnosed(mut late: impl FnMut(f64, f64) -> f64) -> Report {
             q += 0.5 * step * v;
         }
     }
-    axis::diagnosed(NOISE, held, samples)
+    crate::support::axis::diagnosed(NOISE, held, samples)
 }
 
 #[test]

@@ -1,15 +1,13 @@
 //! Every effect of the library: at its null value nothing changes, its derivatives are right, several act together, and
 //! a system that states it predicts the same as a hypothesis that adds it.
 
-mod rotor;
-
+use crate::rotor::{SYSTEM, equations, experiment, predictions, simulator};
 use parallax_gap::equations::EquationsSimulator;
 use parallax_gap::simulator::{At, Event, Gradient, LANES, Motion, Simulator};
 use parallax_model::effect::{Effect, Place, PlaceKind};
 use parallax_model::lanes::F64x16;
 use parallax_model::system::{EffectEntry, System};
 use proptest::prelude::*;
-use rotor::{SYSTEM, equations, experiment, predictions, simulator};
 
 /// Each effect at a place, with values well inside its range.
 const CASES: &[(Effect, PlaceKind, usize, &[f64])] = &[

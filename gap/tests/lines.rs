@@ -1,12 +1,9 @@
 //! Where the search for a wave begins: beside parameters that are far off as they are stated, what these leave at the frequencies of the
 //! commands hides it until they are calibrated; and whatever its phase, between two lines of a spectrum.
 
-#[allow(dead_code)]
-mod support;
-
+use crate::support::{Hidden, SYSTEM, record};
 use parallax_gap::diagnosis::{Options, diagnose_experiment};
 use parallax_model::system::System;
-use support::{Hidden, SYSTEM, record};
 
 #[test]
 fn a_wave_is_found_whose_frequency_shows_after_calibration_only() {

@@ -1,13 +1,10 @@
 //! The noise of a walk: exact slopes of its likelihood, and where they lead.
 
-#[allow(dead_code)]
-mod support;
-
+use crate::support::{Hidden, SYSTEM, record};
 use parallax_gap::filter::{Noise, Pass};
 use parallax_gap::search;
 use parallax_gap::setup::Setup;
 use parallax_model::system::System;
-use support::{Hidden, SYSTEM, record};
 
 /// The pendulum again, its angle held as a rotation, which is no number where all states are zero.
 const ROTATION: &str = r#"

@@ -2,9 +2,6 @@
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-#[allow(dead_code, reason = "the other tests use the rest")]
-mod support;
-
 use parallax_gap::diagnosis::{Options, diagnose_experiment};
 use parallax_gap::equations::EquationsSimulator;
 use parallax_gap::experiment::{Experiment, Held, Sample};
@@ -22,7 +19,7 @@ use parallax_model::system::{Equations, System};
 use proptest::prelude::*;
 
 fn equations() -> Equations {
-    System::parse(support::SYSTEM, "system.toml").unwrap().equations().unwrap()
+    System::parse(crate::support::SYSTEM, "system.toml").unwrap().equations().unwrap()
 }
 
 fn row(squares: f64) -> Row {
@@ -200,7 +197,7 @@ proptest! {
 
 /// Diagnoses a changed recording: it may be refused with a reason, and must not panic.
 fn survives(change: impl Fn(&mut Experiment)) {
-    let mut experiment = support::record(support::Hidden::default(), 5, 4.0);
+    let mut experiment = crate::support::record(crate::support::Hidden::default(), 5, 4.0);
     change(&mut experiment);
     match diagnose_experiment(equations(), experiment, "odd", &Options::default(), &|_, _| ()) {
         Ok(found) => assert!(found.report.gap.p_value.is_finite()),

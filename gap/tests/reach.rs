@@ -1,10 +1,7 @@
 //! How far a fit may go: a limit that nothing reached is out of the way, a phase turns as often as it has to, and a stop is as hard
 //! as it is.
 
-#[path = "support/axis.rs"]
-mod axis;
-
-use axis::labelled;
+use crate::support::axis::labelled;
 use parallax_gap::experiment::{Held, Sample};
 use parallax_gap::report::Report;
 use rand::SeedableRng;
@@ -34,7 +31,7 @@ fn diagnosed(start: f64, push: impl Fn(f64) -> f64, force: impl Fn(f64, f64) -> 
             q += 0.5 * step * v;
         }
     }
-    axis::diagnosed(NOISE, held, samples)
+    crate::support::axis::diagnosed(NOISE, held, samples)
 }
 
 fn shaken(t: f64) -> f64 {

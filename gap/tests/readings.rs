@@ -1,9 +1,7 @@
 //! Effects on how readings scatter, repeat and are spaced: each is found by itself, and none where there is none.
 
-#[path = "support/rail.rs"]
-mod rail;
-mod support;
-
+use crate::support::rail::SLIDE;
+use crate::support::{Hidden, SYSTEM, record};
 use parallax_gap::diagnosis::{Options, diagnose_experiment};
 use parallax_gap::experiment::{Experiment, Held, Sample};
 use parallax_gap::readings::{ReadingEffect, Suspicion, cleaned, examine, is_trace, scatter};
@@ -11,11 +9,9 @@ use parallax_gap::report::Report;
 use parallax_gap::search;
 use parallax_gap::setup::Setup;
 use parallax_model::system::{Equations, System};
-use rail::SLIDE;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use support::{Hidden, SYSTEM, record};
 
 /// The pendulum, with its sensor's noise declared or not.
 fn equations(declared: bool) -> Equations {

@@ -1,13 +1,11 @@
 //! Data as it comes: several recordings with constants of their own, other rates, gaps, missing samples, unknown starts.
 
-mod support;
-
+use crate::support::{Hidden, SYSTEM, record};
 use parallax_gap::diagnosis::{DiagnosisError, Options, diagnose_all};
 use parallax_gap::experiment::Experiment;
 use parallax_gap::report::Report;
 use parallax_model::system::System;
 use parallax_runtime::recording::log::{Log, Role, Signal};
-use support::{Hidden, SYSTEM, record};
 
 /// The pendulum, with a mass that each recording states.
 fn system() -> System {

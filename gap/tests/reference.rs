@@ -1,10 +1,8 @@
 //! Effects against an integrator of their own: tiny steps, masses in absolute coordinates, queues of commands, hard
 //! limits; nothing of it is the library's.
 
-mod rotor;
-
+use crate::rotor::{equations, experiment, predictions, simulator};
 use parallax_model::effect::{Effect, PlaceKind};
-use rotor::{equations, experiment, predictions, simulator};
 
 /// What the world does besides the rotor's equations.
 #[derive(Clone, Copy, PartialEq)]

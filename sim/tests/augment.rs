@@ -2,15 +2,13 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-mod support;
-
+use crate::support::{DURATION, graph, registry};
 use parallax_runtime::delay::Delay;
 use parallax_runtime::graph::{ConnectionSpec, Graph, GraphSpec, NodeSpec};
 use parallax_sim::augment::{AugmentError, Augmentation, EdgeDelay};
 use parallax_sim::compiled::{CompileOptions, Interpolation, compile};
 use parallax_sim::{Episode, Executor, generate};
 use proptest::prelude::*;
-use support::{DURATION, graph, registry};
 
 const MS: i64 = 1_000_000;
 

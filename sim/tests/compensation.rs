@@ -2,10 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-#[path = "support/delayed.rs"]
-mod delayed;
-
-use delayed::{errors, graph, kinds};
+use crate::support::delayed::{errors, graph, kinds};
 use parallax_nodes::{pendulum, registry};
 use parallax_runtime::graph::{ConnectionSpec, GraphSpec, NodeSpec};
 use parallax_runtime::node::Parameters;
@@ -76,7 +73,8 @@ fn models() -> GraphSpec {
     let mut spec = pendulum::simulated();
     spec.node_mut("encoder").unwrap().kind = "pendulum/camera".into();
     let mut estimator = NodeSpec::new("estimator", "pendulum/ukf", 100.0);
-    estimator.parameters = delayed::parameters(json!({ "ahead": 0.01, "reorder": 1, "steps": 6 }));
+    estimator.parameters =
+        crate::support::delayed::parameters(json!({ "ahead": 0.01, "reorder": 1, "steps": 6 }));
     spec.nodes.push(estimator);
     let edge = spec.connections.iter_mut().find(|c| c.from == "encoder" && c.to == "agent").unwrap();
     (edge.from, edge.port) = ("estimator".into(), Some("estimator".into()));

@@ -2,10 +2,9 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-mod support;
-
 use std::ops::Range;
 
+use crate::support::{DURATION, graph};
 use parallax_runtime::graph::Graph;
 use parallax_sim::compiled::{
     CompileError, CompileOptions, CompiledGraph, InputRows, Interpolation, OutputDelays, TrainableConnection,
@@ -14,7 +13,6 @@ use parallax_sim::compiled::{
 use parallax_sim::supergraph::{Cut, Method, StartUp, SupergraphError};
 use parallax_sim::{Episode, generate_many};
 use proptest::prelude::*;
-use support::{DURATION, graph};
 
 /// What lies in a place of a history: the number of the step that wrote it, −1 for the initial message.
 type Histories = Vec<Vec<i64>>;

@@ -2,15 +2,13 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-mod support;
-
+use crate::support::registry;
 use parallax_runtime::delay::Delay;
 use parallax_runtime::graph::{ConnectionSpec, Graph, GraphSpec, NodeSpec};
 use parallax_runtime::recording::Recording;
 use parallax_sim::compiled::{CompileError, CompileOptions, Interpolation, TrainableConnection, compile};
 use parallax_sim::episode::EpisodeError;
 use parallax_sim::{Episode, Executor, SimError, generate};
-use support::registry;
 
 fn graph(computation: Delay) -> Graph {
     let mut source = NodeSpec::new("source", "mixer_0", 100.0);

@@ -2,8 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-mod support;
-
+use crate::support::DURATION;
 use parallax_model::node_model::{NodeModel, NodeStep};
 use parallax_model::{Scalar, Tree};
 use parallax_runtime::delay::Delay;
@@ -19,7 +18,6 @@ use parallax_sim::compiled::{
 };
 use parallax_sim::{Episode, Executor, generate};
 use proptest::prelude::*;
-use support::DURATION;
 
 const MILLISECOND: Nanos = 1_000_000;
 
@@ -133,7 +131,7 @@ fn opened(graph: &Graph, rules: &[Option<Rule>], skip: bool) -> Graph {
     for node in &mut spec.nodes {
         node.advance &= spec.connections.iter().all(|edge| edge.to != node.name || edge.blocking);
     }
-    spec.validate(&support::registry()).unwrap()
+    spec.validate(&crate::support::registry()).unwrap()
 }
 
 fn rules() -> impl Strategy<Value = Vec<Option<Rule>>> {
@@ -147,7 +145,7 @@ proptest! {
 
     #[test]
     fn run_time_windows_are_those_of_the_executor(
-        graph in support::graph(),
+        graph in crate::support::graph(),
         rules in rules(),
         seed in any::<u64>(),
         skip in any::<bool>(),

@@ -2,16 +2,14 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-mod support;
-
 use std::collections::BTreeMap;
 
+use crate::support::{DURATION, graph, registry};
 use parallax_runtime::graph::Graph;
 use parallax_runtime::recording::{MemorySink, Recording};
 use parallax_runtime::schedule::verify;
 use parallax_sim::{Episode, Executor, Outcome, ReplayOptions, generate, generate_many, replay};
 use proptest::prelude::*;
-use support::{DURATION, graph, registry};
 
 fn run(graph: &Graph, seed: u64) -> (Recording, Outcome) {
     let executor = Executor::new(graph.clone(), seed);

@@ -9,23 +9,12 @@ use parallax_runtime::recording::log::Log;
 use super::ClosedLoopError;
 use super::start::Start;
 use super::world::{Machine, Sensor, World};
+use crate::answers::corrected;
 use crate::bind::bind;
 use crate::equations::EquationsSimulator;
 use crate::experiment::Experiment;
 use crate::library::extra_std;
 use crate::setup::Setup;
-
-/// `system` with these values of its parameters, and with these effects beside its own.
-pub(super) fn corrected(system: &System, values: &[(String, f64)], effects: &[EffectEntry]) -> System {
-    let mut system = system.clone();
-    for (name, value) in values {
-        if let Some(index) = system.parameter(name) {
-            system.parameters[index].value = *value;
-        }
-    }
-    system.effects.extend(effects.iter().cloned());
-    system
-}
 
 /// A recording as the diagnosis sees it under the system that was given.
 pub(super) struct Seen {

@@ -37,11 +37,15 @@ pub(super) fn leaves_nothing(setup: &Setup, fit: &Fit, pool: &[Candidate<'_>]) -
 
 /// What the effect that promises most beside a fit promises in a score test.
 pub(super) fn most_left(setup: &Setup, fit: &Fit, pool: &[Candidate<'_>]) -> f64 {
+    most_of(setup, fit, pool.par_iter().map(|other| other.at))
+}
+
+/// The same of any effects.
+pub fn most_of<'a>(setup: &Setup, fit: &Fit, effects: impl ParallelIterator<Item = &'a EffectAt>) -> f64 {
     let setup = &setup.with_lines_of(&fit.innovation.pass);
     let nuisance = Nuisance::new(fit);
-    let others =
-        pool.par_iter().filter(|other| !fit.hypothesis.effects.iter().any(|own| overlap(own, other.at)));
-    others.map(|other| score(setup, fit, &nuisance, other.at)).reduce(|| 0.0, f64::max)
+    let others = effects.filter(|at| !fit.hypothesis.effects.iter().any(|own| overlap(own, at)));
+    others.map(|at| score(setup, fit, &nuisance, at)).reduce(|| 0.0, f64::max)
 }
 
 /// How much of the base's squared innovations an effect's signature takes, at most: a score test.

@@ -2,6 +2,7 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use nalgebra::DMatrix;
 use parallax_model::system::Equations;
 
 use super::screen::{chosen, outgrown, screen};
@@ -10,6 +11,7 @@ use crate::combine;
 use crate::detect;
 use crate::experiment::Experiment;
 use crate::held_out;
+use crate::hypothesis::EffectAt;
 use crate::library;
 use crate::posterior;
 use crate::readings::{self, Acted, Raw, ReadingEffect};
@@ -36,6 +38,20 @@ impl Found {
     fn reaches_noise(&self) -> bool {
         self.answers.leader(&self.null).shooting_error <= INEXACT
     }
+}
+
+/// Every single effect, fitted, before they are weighed.
+pub(super) struct Searched {
+    pub(super) setup: Setup,
+    pub(super) null: Fit,
+    nuisance: Nuisance,
+    pub(super) fits: Vec<Fit>,
+    /// What was fitted, the most promising first.
+    pub(super) promising: Vec<EffectAt>,
+    /// The signature of each of the candidates.
+    columns: Vec<DMatrix<f64>>,
+    absorbed: Vec<Absorbed>,
+    not_testable: Vec<library::NotTestable>,
 }
 
 /// What all rounds on one recording share.
@@ -98,8 +114,42 @@ impl Rounds<'_> {
     ) -> Result<Found, DiagnosisError> {
         let progress = |done: f64, label: &str| (self.progress)(from + (to - from) * done, label);
         let (options, equations) = (self.options, self.equations.clone());
+        let Searched { setup, null, nuisance, fits, promising, columns, absorbed, not_testable } =
+            self.search(equations, raw, experiment, held_out, &|done, label| progress(0.5 * done, label))?;
+        let mut gathered = posterior::Gathered::new(&setup, &null, fits, &promising);
+        if let Some(best) = gathered.best(&null).cloned() {
+            progress(0.5, "a cause beside the first");
+            if let Some((joint, left)) = self.beside(&setup, &best, experiment, held_out) {
+                gathered.join(&setup, &null, joint, left);
+            }
+        }
+        progress(0.6, "unknown cause");
+        let weighed = AtomicUsize::new(0);
+        let mut answers = posterior::weigh(&setup, &null, &nuisance, gathered, options, &|label| {
+            let k = weighed.fetch_add(1, Ordering::Relaxed) + 1;
+            progress((0.6 + 0.1 * k as f64).min(1.0), label);
+        });
+        answers.hold_to_predictions(&setup);
+        let mut columns = columns;
+        columns.extend(
+            unknown::kinds(&setup).into_iter().map(|kind| unknown::columns(&setup, &null, &null, kind)),
+        );
+        let score = detect::p_value(&nuisance, &columns, options.seed);
+        let p_value = detect::by_either(score, answers.log_evidence);
+        Ok(Found { setup, null, answers, p_value, not_testable, absorbed, readings: raw.effects() })
+    }
+
+    /// Every single effect, fitted; `progress` goes from 0 to 1.
+    pub(super) fn search(
+        &self,
+        equations: Equations,
+        raw: &Raw,
+        experiment: &Experiment,
+        held_out: Option<usize>,
+        progress: &(dyn Fn(f64, &str) + Sync),
+    ) -> Result<Searched, DiagnosisError> {
         progress(0.0, "nominal model");
-        let readings = raw.effects();
+        let options = self.options;
         let (setup, null) = prepare(equations, experiment, raw, self.title, options, held_out)?;
         if setup.stop.asked() {
             return Err(DiagnosisError::Stopped);
@@ -116,30 +166,16 @@ impl Rounds<'_> {
         }
         let candidates = chosen(candidates, &mut not_testable, options);
         let (candidates, columns, absorbed) = screen(&setup, &null, &nuisance, candidates, &mut not_testable);
-
         let done = AtomicUsize::new(0);
         let promising = combine::by_promise(&setup, &null, &nuisance, &candidates, &columns);
         let fits = search::singles(&setup, &null, &promising, &|label| {
             let k = done.fetch_add(1, Ordering::Relaxed) + 1;
-            progress(0.05 + 0.45 * k as f64 / candidates.len() as f64, label);
+            progress(0.1 + 0.9 * k as f64 / candidates.len() as f64, label);
         });
         if fits.is_empty() && setup.stop.asked() {
             return Err(DiagnosisError::Stopped);
         }
-        progress(0.5, "unknown cause");
-        let weighed = AtomicUsize::new(0);
-        let mut answers = posterior::weigh(&setup, &null, &nuisance, fits, &promising, options, &|label| {
-            let k = weighed.fetch_add(1, Ordering::Relaxed) + 1;
-            progress((0.5 + 0.1 * k as f64).min(1.0), label);
-        });
-        answers.hold_to_predictions(&setup);
-        let mut columns = columns;
-        columns.extend(
-            unknown::kinds(&setup).into_iter().map(|kind| unknown::columns(&setup, &null, &null, kind)),
-        );
-        let score = detect::p_value(&nuisance, &columns, options.seed);
-        let p_value = detect::by_either(score, answers.log_evidence);
-        Ok(Found { setup, null, answers, p_value, not_testable, absorbed, readings })
+        Ok(Searched { setup, null, nuisance, fits, promising, columns, absorbed, not_testable })
     }
 
     /// The same; nothing for who is stopped meanwhile, and has what was found before.

@@ -1,12 +1,11 @@
 //! A mass on a rail that is driven along it, diagnosed.
 
-#[path = "rail.rs"]
-mod rail;
-
 use parallax_gap::diagnosis::{Options, diagnose_experiment};
 use parallax_gap::experiment::{Experiment, Held, Sample};
 use parallax_gap::report::{Report, Which};
 use parallax_model::system::System;
+
+use super::rail;
 
 const JOINT: &str = r#"
 [joints]

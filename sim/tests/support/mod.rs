@@ -1,10 +1,8 @@
 //! Random graphs of every policy, for property tests.
 
-#![allow(
-    dead_code,
-    clippy::unwrap_used,
-    reason = "each test uses its part; a test that cannot go on has failed"
-)]
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
+pub mod delayed;
 
 use parallax_runtime::delay::Delay;
 use parallax_runtime::graph::{ConnectionSpec, Graph, GraphSpec, JitterPolicy, NodeSpec, Scheduling};

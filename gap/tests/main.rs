@@ -1,0 +1,32 @@
+//! The diagnosis, at its boundary: one program for all of it, since linking one for each file takes longer than the tests do.
+
+mod rotor;
+mod support;
+
+mod cart;
+mod clipped;
+mod closed_loop;
+mod combinations;
+mod effects;
+mod exactness;
+mod flexible;
+mod held_out;
+mod inputs;
+mod large;
+mod library;
+mod lines;
+mod next_experiment;
+mod nodes;
+mod noise;
+mod oscillator;
+mod own_effects;
+mod pieces;
+mod properties;
+mod reach;
+mod readings;
+mod recordings;
+mod reference;
+mod rough;
+mod servo;
+mod tanks;
+mod timing;
