@@ -1,6 +1,6 @@
 //! A sensor that is at its limit for long: what happens behind it is followed, and what acts beside it is found.
 
-use crate::support::axis::labelled;
+use crate::axis::labelled;
 use parallax_gap::experiment::{Held, Sample};
 use parallax_gap::report::Report;
 use rand::SeedableRng;
@@ -40,7 +40,7 @@ fn diagnosed(limit: f64, acts: impl Fn(f64) -> f64) -> Report {
             q += 0.5 * step * v;
         }
     }
-    crate::support::axis::diagnosed(NOISE, held, samples)
+    crate::axis::diagnosed(NOISE, held, samples)
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Time that is held out: what happens in it alone, and what an exact model's predictions of it are off by.
 
-use crate::support::rail::SLIDE;
+use crate::rail::SLIDE;
 use parallax_gap::diagnosis::{Options, diagnose_experiment};
 use parallax_gap::experiment::{Experiment, Held, Sample};
 use parallax_gap::report::Report;

@@ -3,7 +3,7 @@
 
 use std::collections::VecDeque;
 
-use crate::support::axis::labelled;
+use crate::axis::labelled;
 use parallax_gap::experiment::{Held, Sample};
 use parallax_gap::report::Report;
 use rand::SeedableRng;
@@ -45,7 +45,7 @@ fn diagnosed(mut late: impl FnMut(f64, f64) -> f64) -> Report {
             q += 0.5 * step * v;
         }
     }
-    crate::support::axis::diagnosed(NOISE, held, samples)
+    crate::axis::diagnosed(NOISE, held, samples)
 }
 
 #[test]

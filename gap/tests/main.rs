@@ -1,5 +1,9 @@
 //! The diagnosis, at its boundary: one program for all of it, since linking one for each file takes longer than the tests do.
 
+#[path = "support/axis.rs"]
+mod axis;
+#[path = "support/rail.rs"]
+mod rail;
 mod rotor;
 mod support;
 

@@ -1,7 +1,7 @@
 //! How far a fit may go: a limit that nothing reached is out of the way, a phase turns as often as it has to, and a stop is as hard
 //! as it is.
 
-use crate::support::axis::labelled;
+use crate::axis::labelled;
 use parallax_gap::experiment::{Held, Sample};
 use parallax_gap::report::Report;
 use rand::SeedableRng;
@@ -31,7 +31,7 @@ fn diagnosed(start: f64, push: impl Fn(f64) -> f64, force: impl Fn(f64, f64) -> 
             q += 0.5 * step * v;
         }
     }
-    crate::support::axis::diagnosed(NOISE, held, samples)
+    crate::axis::diagnosed(NOISE, held, samples)
 }
 
 fn shaken(t: f64) -> f64 {

@@ -1,6 +1,6 @@
 //! Effects on how readings scatter, repeat and are spaced: each is found by itself, and none where there is none.
 
-use crate::support::rail::SLIDE;
+use crate::rail::SLIDE;
 use crate::support::{Hidden, SYSTEM, record};
 use parallax_gap::diagnosis::{Options, diagnose_experiment};
 use parallax_gap::experiment::{Experiment, Held, Sample};

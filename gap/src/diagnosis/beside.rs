@@ -24,25 +24,35 @@ const CHANCE: f64 = 2.0;
 
 impl Rounds<'_> {
     /// The best fit with a further effect, and what any other effect promises beside the two; nothing where the best one leaves no more
-    /// than noise, or nothing explains what it leaves.
+    /// than noise, or nothing explains what it leaves. `progress` goes from 0 to 1.
     pub(super) fn beside(
         &self,
         setup: &Setup,
         best: &Fit,
         experiment: &Experiment,
         held_out: Option<usize>,
+        progress: &(dyn Fn(f64, &str) + Sync),
     ) -> Option<(Fit, f64)> {
         let is_noise = best.shooting_error <= INEXACT && best.variance_ratio <= CHANCE;
         if is_noise || setup.stop.leaves_out(|| SEVERAL.into()) {
             return None;
         }
         let effects = corrected_effects(setup, &fitted_effects(setup, best));
-        let system = corrected(setup.equations.system(), &calibration::values(setup, best), &effects);
+        let values = calibration::values(setup, best);
+        let system = corrected(setup.equations.system(), &values, &effects);
+        let mut experiment = experiment.clone();
+        // Each recording has constants of its own; what was fitted is none of them.
+        for (index, value) in values.iter().filter_map(|(name, value)| Some((system.parameter(name)?, value)))
+        {
+            let own = experiment.parts.iter_mut().filter_map(|part| part.parameters.get_mut(index));
+            own.for_each(|own| *own = *value);
+        }
         // A system that these values contradict, or a search that was stopped, shows nothing.
         let equations = system.equations().ok()?;
-        let raw = Raw::of(&equations, experiment);
+        let raw = Raw::of(&equations, &experiment);
+        let told = |done: f64, _: &str| progress(done, "a cause beside the first");
         let again = Rounds { equations: equations.clone(), checked: false, ..*self };
-        let Ok(searched) = again.search(equations, &raw, experiment, held_out, &|_, _| ()) else {
+        let Ok(searched) = again.search(equations, &raw, &experiment, held_out, &told) else {
             setup.stop.leaves_out(|| SEVERAL.into());
             return None;
         };

@@ -118,8 +118,8 @@ impl Rounds<'_> {
             self.search(equations, raw, experiment, held_out, &|done, label| progress(0.5 * done, label))?;
         let mut gathered = posterior::Gathered::new(&setup, &null, fits, &promising);
         if let Some(best) = gathered.best(&null).cloned() {
-            progress(0.5, "a cause beside the first");
-            if let Some((joint, left)) = self.beside(&setup, &best, experiment, held_out) {
+            let more = |done: f64, label: &str| progress(0.5 + 0.1 * done, label);
+            if let Some((joint, left)) = self.beside(&setup, &best, experiment, held_out, &more) {
                 gathered.join(&setup, &null, joint, left);
             }
         }

@@ -5,7 +5,7 @@ use parallax_gap::experiment::{Experiment, Held, Sample};
 use parallax_gap::report::{Report, Which};
 use parallax_model::system::System;
 
-use super::rail;
+use crate::rail;
 
 const JOINT: &str = r#"
 [joints]

@@ -1,8 +1,5 @@
 //! A pendulum with hidden effects, for tests: integrator and formulas of its own, none of them the library's.
 
-pub(crate) mod axis;
-pub(crate) mod rail;
-
 use parallax_gap::experiment::{Experiment, Held, Sample};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-pub mod delayed;
+pub(crate) mod delayed;
 
 use parallax_runtime::delay::Delay;
 use parallax_runtime::graph::{ConnectionSpec, Graph, GraphSpec, JitterPolicy, NodeSpec, Scheduling};
