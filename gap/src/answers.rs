@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use parallax_model::effect::{Effect, Place, PlaceKind};
-use parallax_model::system::{EffectEntry, System};
+use parallax_model::system::EffectEntry;
 
 use crate::hypothesis::Slot;
 use crate::library;
@@ -270,18 +270,6 @@ pub(crate) fn corrected_effects(setup: &Setup, effects: &[FittedEffect]) -> Vec<
             line: 0,
         })
         .collect()
-}
-
-/// `system` with these values of its parameters, and with these effects beside its own.
-pub(crate) fn corrected(system: &System, values: &[(String, f64)], effects: &[EffectEntry]) -> System {
-    let mut system = system.clone();
-    for (name, value) in values {
-        if let Some(index) = system.parameter(name) {
-            system.parameters[index].value = *value;
-        }
-    }
-    system.effects.extend(effects.iter().cloned());
-    system
 }
 
 #[cfg(test)]

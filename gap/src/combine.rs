@@ -17,8 +17,7 @@ use crate::search::{Fit, INEXACT, fit_hypothesis, fit_part};
 use crate::setup::Setup;
 use crate::stop::SEVERAL;
 use grow::{Beginnings, Grown};
-pub use promise::by_promise;
-pub use promise::most_of;
+pub use promise::{by_promise, most_of};
 use promise::{leaves_nothing, most_left};
 
 /// Single effects from which combinations begin in any case.

@@ -32,6 +32,8 @@ pub struct Setup {
     pub train: Vec<Segment>,
     /// Stretches that are held out.
     pub test: Vec<Segment>,
+    /// Which of every three blocks, or recordings, these are.
+    pub held_out: usize,
     /// Length of the short windows and of the predictions that are scored (s).
     pub horizon: f64,
     /// Longest integration step (s).
@@ -218,6 +220,7 @@ impl Setup {
             noise,
             train,
             test,
+            held_out: HELD_OUT,
             horizon,
             step,
             period,
@@ -254,7 +257,9 @@ impl Setup {
     /// Holds out another of every three blocks, or recordings.
     pub fn hold_out(&mut self, which: usize) {
         let Some(guess) = self.train.first().map(|segment| segment.guess.clone()) else { return };
-        (self.train, self.test) = segments(&self.experiment, self.horizon, self.period, &guess, which % 3);
+        self.held_out = which % 3;
+        (self.train, self.test) =
+            segments(&self.experiment, self.horizon, self.period, &guess, self.held_out);
     }
 
     /// Runs the nominal model once, corrected by the readings, to see how large its motions are.

@@ -9,7 +9,6 @@ use parallax_runtime::recording::log::Log;
 use super::ClosedLoopError;
 use super::start::Start;
 use super::world::{Machine, Sensor, World};
-use crate::answers::corrected;
 use crate::bind::bind;
 use crate::equations::EquationsSimulator;
 use crate::experiment::Experiment;
@@ -67,7 +66,7 @@ impl<'a> Variant<'a> {
         values: &[(String, f64)],
         effects: &[EffectEntry],
     ) -> Result<Self, ClosedLoopError> {
-        let system = corrected(&seen.system, values, effects);
+        let system = seen.system.with_corrections(values, effects);
         let equations = system.equations()?;
         let setup = &seen.setup;
         let mut smoothing: Vec<f64> = setup.joints.iter().map(|joint| joint.smoothing).collect();

@@ -7,7 +7,7 @@
 use rayon::prelude::*;
 
 use super::weigh::{Rounds, Searched};
-use crate::answers::{corrected, corrected_effects, fitted_effects};
+use crate::answers::{corrected_effects, fitted_effects};
 use crate::calibration;
 use crate::combine;
 use crate::experiment::Experiment;
@@ -30,7 +30,6 @@ impl Rounds<'_> {
         setup: &Setup,
         best: &Fit,
         experiment: &Experiment,
-        held_out: Option<usize>,
         progress: &(dyn Fn(f64, &str) + Sync),
     ) -> Option<(Fit, f64)> {
         let is_noise = best.shooting_error <= INEXACT && best.variance_ratio <= CHANCE;
@@ -39,7 +38,7 @@ impl Rounds<'_> {
         }
         let effects = corrected_effects(setup, &fitted_effects(setup, best));
         let values = calibration::values(setup, best);
-        let system = corrected(setup.equations.system(), &values, &effects);
+        let system = setup.equations.system().with_corrections(&values, &effects);
         let mut experiment = experiment.clone();
         // Each recording has constants of its own; what was fitted is none of them.
         for (index, value) in values.iter().filter_map(|(name, value)| Some((system.parameter(name)?, value)))
@@ -52,7 +51,7 @@ impl Rounds<'_> {
         let raw = Raw::of(&equations, &experiment);
         let told = |done: f64, _: &str| progress(done, "a cause beside the first");
         let again = Rounds { equations: equations.clone(), checked: false, ..*self };
-        let Ok(searched) = again.search(equations, &raw, &experiment, held_out, &told) else {
+        let Ok(searched) = again.search(equations, &raw, &experiment, Some(setup.held_out), &told) else {
             setup.stop.leaves_out(|| SEVERAL.into());
             return None;
         };

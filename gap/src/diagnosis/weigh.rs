@@ -119,7 +119,7 @@ impl Rounds<'_> {
         let mut gathered = posterior::Gathered::new(&setup, &null, fits, &promising);
         if let Some(best) = gathered.best(&null).cloned() {
             let more = |done: f64, label: &str| progress(0.5 + 0.1 * done, label);
-            if let Some((joint, left)) = self.beside(&setup, &best, experiment, held_out, &more) {
+            if let Some((joint, left)) = self.beside(&setup, &best, experiment, &more) {
                 gathered.join(&setup, &null, joint, left);
             }
         }

@@ -39,6 +39,19 @@ impl System {
         Ok(text)
     }
 
+    /// The system with these values of parameters that it has, and with these effects beside its own.
+    #[must_use]
+    pub fn with_corrections(&self, values: &[(String, f64)], effects: &[EffectEntry]) -> Self {
+        let mut system = self.clone();
+        for (name, value) in values {
+            if let Some(index) = system.parameter(name) {
+                system.parameters[index].value = *value;
+            }
+        }
+        system.effects.extend(effects.iter().cloned());
+        system
+    }
+
     /// Where the document states a parameter's value.
     fn value_of<'a>(&self, document: &'a mut DocumentMut, name: &str) -> Result<&'a mut Value, SystemError> {
         // An effect that the file adds has parameters of its own.
