@@ -33,6 +33,7 @@
 
 mod endpoint;
 pub(crate) mod futex;
+mod place;
 mod populate;
 mod publisher;
 mod space;

@@ -8,6 +8,7 @@ use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
+use super::place::Place;
 use super::{ChannelError, Ipc, Topic, failed};
 
 /// The sending end of a channel.
@@ -22,7 +23,7 @@ pub struct Publisher {
 
 /// A message that is not begun yet.
 #[derive(Default)]
-struct Ready(Cell<Option<iceoryx2::sample_mut::SampleMut<Ipc, [u64], ()>>>);
+struct Ready(Cell<Option<Place>>);
 
 impl Debug for Ready {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -36,7 +37,7 @@ const SMALL: usize = 512;
 /// A message being written, in the place in shared memory from which it is read.
 #[derive(Debug)]
 pub struct Loan<'a> {
-    sample: iceoryx2::sample_mut::SampleMut<Ipc, [u64], ()>,
+    place: Place,
     topic: &'a Topic,
 }
 
@@ -71,9 +72,9 @@ impl Publisher {
         words: usize,
         fill: impl FnOnce(&mut [u64]),
     ) -> Result<usize, ChannelError> {
-        let mut sample = self.place(words, "send")?;
-        fill(sample.payload_mut());
-        sample.send().map_err(|e| failed(&self.topic.name, "send")(&e))
+        let mut place = self.place(words, "send")?;
+        fill(place.words_mut());
+        place.send().map_err(|e| failed(&self.topic.name, "send")(&e))
     }
 
     /// Takes the place of the next message, of the greatest length, now that there is time: to take it back from a receiver
@@ -83,28 +84,24 @@ impl Publisher {
         if let Some(ready) = self.ready.0.take() {
             return self.ready.0.set(Some(ready));
         }
-        let Ok(mut sample) = self.place(self.topic.words, "prepare") else { return };
+        let Ok(mut place) = self.place(self.topic.words, "prepare") else { return };
         if self.topic.words <= SMALL {
-            sample.payload_mut().fill(0);
+            place.words_mut().fill(0);
         }
-        self.ready.0.set(Some(sample));
+        self.ready.0.set(Some(place));
     }
 
-    fn place(
-        &self,
-        words: usize,
-        what: &'static str,
-    ) -> Result<iceoryx2::sample_mut::SampleMut<Ipc, [u64], ()>, ChannelError> {
+    fn place(&self, words: usize, what: &'static str) -> Result<Place, ChannelError> {
         self.check(words)?;
         match self.ready.0.take() {
-            Some(ready) if ready.payload().len() == words => return Ok(ready),
+            Some(ready) if ready.words().len() == words => return Ok(ready),
             // One that does not fit is given back: only one may be taken at a time.
             other => drop(other),
         }
         let sample = self.port.loan_slice_uninit(words).map_err(|e| failed(&self.topic.name, what)(&e))?;
         // SAFETY: the words lie in a mapped file, whose bytes are always initialised: with zeros at first, with an
         // earlier message later. Every bit pattern is a valid u64.
-        Ok(unsafe { sample.assume_init() })
+        Ok(Place::new(unsafe { sample.assume_init() }, words))
     }
 
     /// The place for a message of `words` words, to be written and then [sent](Loan::send): nothing is copied. Words
@@ -114,7 +111,7 @@ impl Publisher {
     ///
     /// [`ChannelError::TooLong`], or [`ChannelError::Transport`].
     pub fn loan(&self, words: usize) -> Result<Loan<'_>, ChannelError> {
-        Ok(Loan { sample: self.place(words, "begin a message")?, topic: &self.topic })
+        Ok(Loan { place: self.place(words, "begin a message")?, topic: &self.topic })
     }
 
     fn check(&self, words: usize) -> Result<(), ChannelError> {
@@ -148,7 +145,7 @@ impl Loan<'_> {
     ///
     /// [`ChannelError::Transport`].
     pub fn send(self) -> Result<usize, ChannelError> {
-        self.sample.send().map_err(|e| failed(&self.topic.name, "send")(&e))
+        self.place.send().map_err(|e| failed(&self.topic.name, "send")(&e))
     }
 
     /// Sends the message, and then hands it to `look`, to be read where it lies; gives the number of subscribers that it
@@ -162,7 +159,7 @@ impl Loan<'_> {
     ///
     /// `look` must neither begin nor send another message of the same publisher.
     pub(crate) unsafe fn send_then(self, look: impl FnOnce(&[u64])) -> Result<usize, ChannelError> {
-        let words: *const [u64] = self.sample.payload();
+        let words: *const [u64] = self.place.words();
         let delivered = self.send()?;
         // SAFETY: the words lie in the publisher's own segment, which stays mapped while the publisher lives, and it lives
         // for as long as the loan borrowed it. Receivers only read them. Their place is given to another message by this
@@ -176,12 +173,12 @@ impl Deref for Loan<'_> {
     type Target = [u64];
 
     fn deref(&self) -> &[u64] {
-        self.sample.payload()
+        self.place.words()
     }
 }
 
 impl DerefMut for Loan<'_> {
     fn deref_mut(&mut self) -> &mut [u64] {
-        self.sample.payload_mut()
+        self.place.words_mut()
     }
 }

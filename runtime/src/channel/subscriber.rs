@@ -8,8 +8,8 @@ use std::ptr::NonNull;
 use std::thread::ThreadId;
 
 use iceoryx2::port::update_connections::UpdateConnections;
-use iceoryx2::prelude::*;
 
+use super::place::received;
 use super::{ChannelError, Ipc, Topic, failed};
 
 /// The receiving end of a channel.
@@ -60,17 +60,6 @@ impl Drop for View {
             unsafe { ManuallyDrop::drop(&mut self.sample) };
         }
     }
-}
-
-/// The words of a message. How many there are stands beside them in shared memory, where whoever sends can write: a number
-/// that cannot be right is taken for none.
-fn words(sample: &iceoryx2::sample::Sample<Ipc, [u64], ()>, limit: usize) -> &[u64] {
-    if sample.header().number_of_elements() > limit as u64 {
-        return &[];
-    }
-    let words = sample.payload();
-    // The number was read once more for this.
-    if words.len() > limit { &[] } else { words }
 }
 
 /// Bytes of a cache line.
@@ -127,7 +116,7 @@ impl Subscriber {
         drop(self.last.0.take());
         match self.port.receive() {
             Ok(Some(sample)) => {
-                take(words(&sample, self.topic.words));
+                take(received(&sample, self.topic.words));
                 self.last.0.set(Some(sample));
                 Ok(true)
             }
@@ -153,7 +142,7 @@ impl Subscriber {
         };
         fetch(&sample, self.topic.words);
         let arrived = arrived();
-        take(words(&sample, self.topic.words));
+        take(received(&sample, self.topic.words));
         self.last.0.set(Some(sample));
         Ok(Some(arrived))
     }
@@ -167,7 +156,7 @@ impl Subscriber {
         drop(self.last.0.take());
         let taken = self.port.receive().map_err(|e| failed(&self.topic.name, "receive")(&e))?;
         Ok(taken.map(|sample| {
-            let words = NonNull::from(words(&sample, self.topic.words));
+            let words = NonNull::from(received(&sample, self.topic.words));
             View { sample: ManuallyDrop::new(sample), words, thread: self.thread }
         }))
     }
