@@ -177,7 +177,7 @@ impl<'a> Combine<'a> {
         if base.hypothesis.effects.len() < 2 {
             return Vec::new();
         }
-        let base = self.shortened(base);
+        let base = self.shortened(self.reformed(base));
         let known = |other: &Fit| same(&other.hypothesis.effects, &base.hypothesis.effects);
         if base.hypothesis.effects.len() < 2
             || found.iter().any(known)
@@ -225,7 +225,7 @@ impl<'a> Combine<'a> {
         let mut enough = singles.filter(|single| exact(single) || (self.judge.is_exact() && own(single)));
         enough.any(|single| {
             is_sum(&single.hypothesis.effects[0], &fit.hypothesis.effects) && exact(single)
-                || !self.judge.is_worth_or(fit, single, left)
+                || !is_worth(self.setup, self.null, &self.judge, (fit, single), left)
         })
     }
 
@@ -264,6 +264,19 @@ impl<'a> Combine<'a> {
     }
 }
 
+/// Whether `fit` is worth its effects over `base`, what is too small to be told from a form included; `left` is what any other effect
+/// promises beside it.
+pub fn is_worth(
+    setup: &Setup,
+    null: &Fit,
+    judge: &Judge,
+    (fit, base): (&Fit, &Fit),
+    left: impl FnOnce() -> f64,
+) -> bool {
+    let predicts = || [null, base, fit].map(|fit| fit.error_ahead(setup, fit.theta()));
+    judge.is_worth_or(fit, base, left) || judge.is_worth_ahead(fit, base, predicts)
+}
+
 /// Whether two effects are one, or one contains the other at its place: they are alternatives, not companions.
 pub fn overlap(a: &EffectAt, b: &EffectAt) -> bool {
     let contains =
@@ -279,7 +292,7 @@ fn is_sum(of: &EffectAt, parts: &[EffectAt]) -> bool {
         Effect::Offset | Effect::Bias => true,
         _ => false,
     };
-    let rubs = |at: &EffectAt| at.effect == Effect::Coulomb && at.place == of.place;
+    let rubs = |at: &EffectAt| at.effect.name() == Effect::Coulomb.name() && at.place == of.place;
     of.effect == Effect::AsymmetricFriction
         && parts.len() == 2
         && parts.iter().any(rubs)

@@ -25,6 +25,9 @@ const MATERIAL: f64 = 0.005;
 /// The same of a further effect at the place of another one: nobody knows an effect's form better.
 const MATERIAL_BESIDE: f64 = 0.03;
 
+/// Mean squared error of predictions, in noise units squared, that a further effect must close where it closes too little in windows.
+const AHEAD: f64 = 0.01;
+
 /// Share of the gap's square below which nothing is an effect: a thousandth of the motion, to which no two integrations of the
 /// same equations agree.
 const NUMERICAL: f64 = 1e-6;
@@ -142,7 +145,6 @@ impl Judge {
     #[must_use]
     pub fn is_worth_or(&self, fit: &Fit, base: &Fit, left: impl FnOnce() -> f64) -> bool {
         let complete = || is_nothing(left(), base.innovation.evidence_cost - fit.innovation.evidence_cost);
-        let same = || (base.shooting_error - fit.shooting_error).abs() < NUMERICAL * self.gap;
         if self.is_worth(fit, base) {
             return fit.shooting_error <= AT_FLOOR
                 || self.beyond_form(fit, base) >= 1.0
@@ -150,17 +152,30 @@ impl Judge {
                 || self.leaves_chance(fit, base)
                 || complete();
         }
+        self.may_be_small(fit, base) && complete()
+    }
+
+    /// The same of one that hardly shows in windows, whose first states are free, where nothing is left in them: it counts if it closes
+    /// as much of the gap over the horizon, from what the filter knew, as it would have to in windows. `predicts` gives the mean squared
+    /// errors of predictions, in noise units squared, of the null model, of `base` and of `fit`.
+    #[must_use]
+    pub fn is_worth_ahead(&self, fit: &Fit, base: &Fit, predicts: impl FnOnce() -> [f64; 3]) -> bool {
+        if fit.shooting_error > AT_FLOOR || !self.may_be_small(fit, base) {
+            return false;
+        }
+        let [null, before, after] = predicts();
+        before - after >= (MATERIAL * (null - 1.0)).max(AHEAD)
+    }
+
+    /// Whether a further effect may be one that is too small to be told from the first effect's form.
+    fn may_be_small(&self, fit: &Fit, base: &Fit) -> bool {
+        let same = || (base.shooting_error - fit.shooting_error).abs() < NUMERICAL * self.gap;
         let known = &base.hypothesis.effects;
         let tuned =
             || fit.hypothesis.effects.iter().any(|at| at.effect == Effect::Parameter && !known.contains(at));
         // Further states are free in every window, and take what the filter's steps through a stop or a limit leave as well.
         let freer = || fit.innovation.pass.states() > base.innovation.pass.states();
-        base.shooting_error <= INEXACT
-            && self.gains(fit, base)
-            && !same()
-            && !tuned()
-            && !freer()
-            && complete()
+        base.shooting_error <= INEXACT && self.gains(fit, base) && !same() && !tuned() && !freer()
     }
 
     /// Whether `fit` explains more than `other`, which has as many effects: clearly by what decides, or, where nothing reaches the noise,

@@ -32,5 +32,6 @@ mod recordings;
 mod reference;
 mod rough;
 mod servo;
+mod stages;
 mod tanks;
 mod timing;

@@ -3,11 +3,11 @@
 use rayon::prelude::*;
 
 use super::promise::{leaves_nothing, most_left, score, score_of};
-use super::{BASES, Candidate, Combine, TWIN, overlap, same};
+use super::{BASES, Candidate, Combine, TWIN, is_worth, overlap, same};
 use crate::hypothesis::{EffectAt, Hypothesis};
 use crate::judge::{DECISIVE, EVEN, Judge, WORTH};
 use crate::library;
-use crate::search::{Fit, INEXACT, Width, fit_all};
+use crate::search::{Fit, INEXACT, Width, fit_all, fit_part};
 use crate::signature::{self, Nuisance};
 use crate::stop::SEVERAL;
 
@@ -105,9 +105,16 @@ impl<'a> Combine<'a> {
             }
             let left = || most_left(self.setup, &next, &self.pool);
             let judge = &self.judge;
-            if judge.is_worth_or(&next, &base, left) && judge.is_worth(&next, self.null) {
+            if is_worth(self.setup, self.null, judge, (&next, &base), left)
+                && judge.is_worth(&next, self.null)
+            {
                 (sure, rejected) = (next.clone(), None);
             } else {
+                let is_sure = same(&base.hypothesis.effects, &sure.hypothesis.effects);
+                if let Some(other) = is_sure.then(|| self.in_place_of_one(&next, &base)).flatten() {
+                    (base, sure) = (other.clone(), other);
+                    continue;
+                }
                 rejected = rejected.or_else(|| Some(next.clone()));
                 if !judge.is_worth(&next, &base) || !judge.nearly_leaves_chance(&next, &base) {
                     break;
@@ -131,12 +138,7 @@ impl<'a> Combine<'a> {
                 return None;
             }
             let rest = self.without(fit, left_out);
-            let others_of = self.forms.iter().filter(|at| at.label() == own.label() && *at != own);
-            let with = |form: &EffectAt| {
-                let effects = rest.hypothesis.effects.iter().chain([form]).cloned().collect::<Vec<_>>();
-                library::hypothesis(setup, &effects)
-            };
-            others.extend(fit_all(setup, &rest, others_of.map(with).collect(), Width::FURTHER, &|_| ()));
+            others.extend(self.in_other_forms(&rest, own));
             // The last one was chosen beside all others.
             if left_out + 1 < effects.len() {
                 others.extend(self.extended(&rest));
@@ -147,6 +149,55 @@ impl<'a> Combine<'a> {
         judge.is_better(best, fit).then(|| best.clone())
     }
 
+    /// A combination whose last effect is in the place of one of those of `base`, where that explains more: what is too small beside the
+    /// others may be what one of them stands in for.
+    fn in_place_of_one(&self, with: &Fit, base: &Fit) -> Option<Fit> {
+        let count = base.hypothesis.effects.len();
+        if count < 2 || self.judge.cost(with) >= self.judge.cost(base) - WORTH {
+            return None;
+        }
+        let others: Vec<Fit> = (0..count).into_par_iter().map(|k| self.without(with, k)).collect();
+        let best = self.judge.best(others.iter().filter(|other| library::is_possible(self.setup, other)))?;
+        self.judge.is_better(best, base).then(|| best.clone())
+    }
+
+    /// The combination with each effect in the form that explains most beside the others, from where it is.
+    pub(super) fn reformed(&self, mut fit: Fit) -> Fit {
+        let setup = self.setup;
+        for k in 0..fit.hypothesis.effects.len() {
+            let own = fit.hypothesis.effects[k].clone();
+            let forms: Vec<&EffectAt> = self.other_forms(&own).collect();
+            if forms.is_empty() || setup.stop.leaves_out(|| SEVERAL.into()) {
+                continue;
+            }
+            let others = forms.into_par_iter().map(|form| {
+                let mut effects = fit.hypothesis.effects.clone();
+                effects[k] = form.clone();
+                fit_part(setup, self.null, library::hypothesis(setup, &effects), &fit)
+            });
+            let others: Vec<Fit> = others.filter(|other| library::is_possible(setup, other)).collect();
+            if let Some(best) = self.judge.best(others.iter()).filter(|best| self.judge.is_better(best, &fit))
+            {
+                fit = best.clone();
+            }
+        }
+        fit
+    }
+
+    /// The other forms of an effect.
+    fn other_forms<'b>(&'b self, own: &'b EffectAt) -> impl Iterator<Item = &'b EffectAt> {
+        self.forms.iter().filter(move |at| at.label() == own.label() && *at != own)
+    }
+
+    /// A combination with one effect more, which is `own` in each of its other forms.
+    fn in_other_forms(&self, rest: &Fit, own: &EffectAt) -> Vec<Fit> {
+        let with = |form: &EffectAt| {
+            let effects = rest.hypothesis.effects.iter().chain([form]).cloned().collect::<Vec<_>>();
+            library::hypothesis(self.setup, &effects)
+        };
+        fit_all(self.setup, rest, self.other_forms(own).map(with).collect(), Width::FURTHER, &|_| ())
+    }
+
     /// The best fit with one effect more, if any effect promises something.
     fn extended(&mut self, base: &Fit) -> Option<Fit> {
         // What repeats shows best beside what the base explains.
@@ -155,17 +206,26 @@ impl<'a> Combine<'a> {
         let others = self.pool.par_iter();
         let mut scores: Vec<(f64, &Candidate<'_>, Hypothesis)> = others
             .filter(|other| !base.hypothesis.effects.iter().any(|own| overlap(own, other.at)))
-            .map(|other| {
-                let mut effects = base.hypothesis.effects.clone();
-                effects.push(other.at.clone());
-                let mut hypothesis = library::hypothesis(setup, &effects);
-                let mut most = score(setup, base, &nuisance, other.at);
+            .flat_map_iter(|other| {
+                let with = |at: &EffectAt| {
+                    let effects = base.hypothesis.effects.iter().chain([at]).cloned().collect::<Vec<_>>();
+                    (score(setup, base, &nuisance, at), other, library::hypothesis(setup, &effects))
+                };
+                let (mut most, _, mut hypothesis) = with(other.at);
                 if other.helps {
                     let start = hypothesis.starts_at(&other.alone.hypothesis, other.alone.estimate());
                     let columns = signature::columns_of(setup, base, &hypothesis, start);
                     most = most.max(score_of(&nuisance, &columns));
                 }
-                (most, other, hypothesis)
+                // The form that explains most alone need not be the one beside another effect; one that has more parameters always
+                // promises a little more.
+                let mut forms: Vec<(f64, &Candidate<'_>, Hypothesis)> = self
+                    .other_forms(other.at)
+                    .map(with)
+                    .filter(|(score, ..)| *score > most + WORTH)
+                    .collect();
+                forms.push((most, other, hypothesis));
+                forms
             })
             .collect();
         scores.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.at.cmp(b.1.at)));

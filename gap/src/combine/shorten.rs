@@ -4,7 +4,7 @@ use parallax_model::effect::Effect;
 use rayon::prelude::*;
 
 use super::promise::most_left;
-use super::{Combine, same};
+use super::{Combine, is_worth, same};
 use crate::library;
 use crate::search::{Fit, fit_hypothesis, fit_part};
 use crate::stop::SEVERAL;
@@ -43,7 +43,7 @@ impl Combine<'_> {
                 doubtful.into_par_iter().map(|left_out| self.without(&fit, left_out)).collect();
             let best = shorter.into_iter().min_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
             let left = || most_left(self.setup, &fit, &self.pool);
-            match best.filter(|best| !judge.is_worth_or(&fit, best, left)) {
+            match best.filter(|best| !is_worth(self.setup, self.null, judge, (&fit, best), left)) {
                 Some(simpler) => fit = simpler,
                 None => break,
             }
@@ -68,7 +68,8 @@ impl Combine<'_> {
                 }
                 let other = fit_hypothesis(setup, self.null, library::hypothesis(setup, &effects));
                 let left = || most_left(setup, &fit, &self.pool);
-                if !judge.is_worth_or(&fit, &other, left) || judge.is_spare(&fit, k, &other) {
+                let worth = is_worth(setup, self.null, judge, (&fit, &other), left);
+                if !worth || judge.is_spare(&fit, k, &other) {
                     fit = other;
                     break;
                 }

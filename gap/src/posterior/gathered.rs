@@ -53,7 +53,7 @@ impl Gathered {
     pub fn join(&mut self, setup: &Setup, null: &Fit, joint: Fit, left: f64) {
         let Some(best) = self.fits.first() else { return };
         let judge = Judge::new(null, self.fits.iter().chain([&joint]));
-        if !judge.is_worth_or(&joint, best, || left) {
+        if !combine::is_worth(setup, null, &judge, (&joint, best), || left) {
             return;
         }
         let (singles, found): (Vec<Fit>, Vec<Fit>) =

@@ -48,10 +48,9 @@ pub(super) struct Beam<'a> {
 pub(super) struct Losses {
     /// Whether each command was lost.
     pub(super) lost: Vec<bool>,
-    /// How many commands change anything.
-    pub(super) of: usize,
-    /// Share of the commands that change anything.
+    /// Share of the commands that change anything, and how many tell it.
     pub(super) rate: f64,
+    pub(super) of: usize,
     /// Log likelihood with what losses may have happened, less what stating them costs, against what acts in the walk.
     pub(super) gain: f64,
     /// The same of the stretches that are fitted.
@@ -115,12 +114,12 @@ impl Beam<'_> {
         let total = energies.iter().fold((0.0, 0.0), |sum: (f64, f64), e| (sum.0 + e.0, sum.1 + e.1));
         let sizes = self.sizes();
         let mut scale = (total.1 / total.0.max(1.0)).max(1e-9);
-        let mut found: Vec<Found> = Vec::new();
+        let (mut found, mut of) = (Vec::<Found>::new(), 0);
         for _ in 0..ROUNDS {
             found = self.stretches.par_iter().map(|(chain, _)| self.search(chain, scale, *rate)).collect();
             let gained: f64 = found.iter().map(|f| f.fit).sum();
             scale = ((total.1 - 2.0 * scale * gained) / total.0.max(1.0)).max(1e-9);
-            *rate = self.rate(&found, &sizes, scale);
+            (*rate, of) = self.rate(&found, &sizes, scale);
         }
         let mut lost = vec![false; self.sent.values.len()];
         found.iter().flat_map(|f| &f.lost).for_each(|k| lost[*k] = true);
@@ -135,17 +134,11 @@ impl Beam<'_> {
             let left: f64 = (1.0 - 2.0 * scale * fit / f64::max(energy, 1e-300)).max(1e-9);
             -0.5 * n * left.ln() + stated - 0.5 * count.ln()
         };
-        Losses {
-            lost,
-            of: self.changes(),
-            rate: *rate,
-            gain: gain(&|_| true),
-            trained: gain(&|trained| trained),
-        }
+        Losses { lost, rate: *rate, of, gain: gain(&|_| true), trained: gain(&|trained| trained) }
     }
 
-    /// Share of the commands that is lost, told by those whose loss would show.
-    fn rate(&self, found: &[Found], sizes: &[f64], scale: f64) -> f64 {
+    /// Share of the commands that is lost, told by those whose loss would show, and how many these are.
+    fn rate(&self, found: &[Found], sizes: &[f64], scale: f64) -> (f64, usize) {
         let shows = |k: &usize| sizes[*k] > 2.0 * SHOWS * scale;
         let telling = (0..sizes.len()).filter(shows).count();
         let losses = found.iter().flat_map(|f| &f.lost);
@@ -154,7 +147,7 @@ impl Beam<'_> {
         } else {
             (losses.count(), self.changes().max(1))
         };
-        (losses as f64).clamp(0.5, 0.9 * of as f64) / of as f64
+        ((losses as f64).clamp(0.5, 0.9 * of as f64) / of as f64, of)
     }
 
     /// What the other one has in place of a command, less that.

@@ -68,7 +68,9 @@ struct Believed<'a> {
 struct Round {
     cost: f64,
     error: f64,
+    /// Share of the commands that is lost, and how many tell it.
     rate: f64,
+    of: usize,
     acted: Held,
 }
 
@@ -89,7 +91,7 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
     }
     believed.revise(&first.lost);
     believed.anneal(base);
-    let Round { cost, error, rate, acted } = believed.settle(base)?;
+    let Round { cost, error, rate, of: telling, acted } = believed.settle(base)?;
     believed.clean.experiment.inputs[input] = acted.clone();
     let (of, losses) = (believed.changes().len(), believed.stamps());
     let accident = losses.len() < FEWEST && (losses.len() as f64) < RAREST * of as f64;
@@ -98,7 +100,7 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
         return None;
     }
     // Of those that hardly change anything nobody knows: they are lost as often as the others.
-    let std = (rate * (1.0 - rate) / of as f64).sqrt();
+    let std = (rate * (1.0 - rate) / telling as f64).sqrt();
     let value = Value { value: rate, std, unit: String::new() };
     let density = scatter::density_at_input(setup, base, input, (f64::INFINITY, rate.sqrt()));
     let effect =
@@ -156,7 +158,8 @@ impl<'a> Believed<'a> {
             worse += 1;
             if nearer && is_loss && best.as_ref().is_none_or(|best| cost < best.cost) {
                 worse = 0;
-                best = Some(Round { cost, error, rate: found.rate, acted: self.acted().clone() });
+                best =
+                    Some(Round { cost, error, rate: found.rate, of: found.of, acted: self.acted().clone() });
             }
             if !self.revise(&found.lost) {
                 break;

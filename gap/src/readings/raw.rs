@@ -204,7 +204,8 @@ fn judge(
 
     if count > 0 {
         let density = stuck_density(&local, &repeated, &rate, &noise, learnt);
-        let value = share_of(&rate);
+        let mut value = share_of(&rate);
+        value.std *= repeated.spread(rate.value, 1..learnt);
         out.effects.push(found("stuck", place.into(), ("rate", value), evidence, is_stuck, density));
     }
     out.effects.extend(alleged);

@@ -222,6 +222,11 @@ fn rate(setup: &Setup, output: usize, k: usize) -> Option<f64> {
     (span > 0.0).then(|| wrapped(value[after] - value[before], wrap) / span)
 }
 
+/// The noise of one output's readings (standard deviation) that a fit asks for, where it may exceed what is declared.
+pub(super) fn noise_of_readings(setup: &Setup, fit: &Fit, output: usize) -> f64 {
+    (0.5 * open_noise(setup, fit).log_output[output]).exp()
+}
+
 fn pass(setup: &Setup, fit: &Fit, noise: &Noise, segments: &[Segment]) -> Pass {
     let simulator = library::simulator(setup, &fit.hypothesis, fit.residuals.clone());
     walk_plain(&simulator, segments, &setup.noise, noise, fit.theta())

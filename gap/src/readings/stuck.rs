@@ -100,6 +100,18 @@ impl Repeats {
         peak(1e-4, 0.95, |rate| self.gain(rate, range.clone()))
     }
 
+    /// By how much less is known of the rate where a sensor sticks for several readings at a time: the ratio of its standard deviation to
+    /// that of readings each of which repeats the one before by itself. Of runs at random times the variance of their sum is the sum of
+    /// their squares.
+    pub(super) fn spread(&self, rate: f64, range: std::ops::Range<usize>) -> f64 {
+        let stuck = self.stuck(rate);
+        let runs = stuck[range].chunk_by(|a, b| a == b).filter(|run| run[0]).map(|run| run.len() as f64);
+        let (sum, squares) =
+            runs.fold((0.0, 0.0), |(sum, squares), length| (sum + length, squares + length * length));
+        let by_themselves = sum * (1.0 + rate) / (1.0 - rate);
+        if squares > by_themselves { (squares / by_themselves).sqrt() } else { 1.0 }
+    }
+
     /// Readings that are stuck rather than equal by chance, at this rate.
     pub(super) fn stuck(&self, rate: f64) -> Vec<bool> {
         self.repeats.iter().map(|(repeated, p)| *repeated && *p < 0.2 * rate).collect()
@@ -121,6 +133,23 @@ mod tests {
         // An encoder that stands between two of its steps, and then on one of them.
         let resting = |k: usize| if k < 60 || k == 63 { -0.0116 } else { -0.01 };
         assert_eq!(stuck((0..200).map(resting).collect()), 0);
+    }
+
+    #[test]
+    fn less_is_known_of_the_rate_of_a_sensor_that_sticks_for_a_while() {
+        // One of ten readings is old: one by one, and five at a time.
+        let of = |old: fn(usize) -> usize| {
+            let values = (0..1000).map(|k| (0.05 * old(k) as f64).sin()).collect();
+            let stamps = (0..1000).map(|k| 0.01 * f64::from(k)).collect();
+            let repeats = repeats(&Local::new(stamps, values, None), None, None);
+            let count = repeats.stuck(0.1).iter().filter(|stuck| **stuck).count();
+            (count, repeats.spread(0.1, 1..1000))
+        };
+        let (count, alone) = of(|k| if k % 10 == 7 { k - 1 } else { k });
+        assert_eq!((count, alone), (100, 1.0));
+        let (count, five) = of(|k| if k % 50 > 44 { k - k % 50 + 44 } else { k });
+        assert_eq!(count, 100);
+        assert!((five - (5.0 * 0.9 / 1.1_f64).sqrt()).abs() < 1e-9, "{five}");
     }
 
     #[test]

@@ -175,11 +175,14 @@ impl Fit {
         if !self.by_windows {
             return;
         }
+        let error = |theta: &[f64]| self.error_ahead(setup, theta);
+        self.by_windows = error(&self.shooting.theta) <= WORSE * error(self.theta());
+    }
+
+    /// Mean squared error of predictions of the fitted stretches over the horizon from what the filter knew, in noise units squared.
+    pub(crate) fn error_ahead(&self, setup: &Setup, theta: &[f64]) -> f64 {
         let simulator = library::simulator(setup, &self.hypothesis, self.residuals.clone());
         let fitted = Setup { test: setup.train.clone(), ..setup.clone() };
-        let error = |theta: &[f64]| {
-            quantify::predict(&fitted, &simulator, theta, &self.innovation.noise).mean_square()
-        };
-        self.by_windows = error(&self.shooting.theta) <= WORSE * error(self.theta());
+        quantify::predict(&fitted, &simulator, theta, &self.innovation.noise).mean_square()
     }
 }
