@@ -25,14 +25,16 @@ fn dry_friction_beside_a_late_command() {
     let names = names(&report);
     // The world's friction holds entirely at rest, where ours is smoothed: the form that rises there may be nearer.
     assert!(names == ["coulomb", "delay"] || names == ["delay", "stribeck"], "{}", report.summary);
-    let value = |place: &str, parameter: &str| {
-        let effect =
-            report.which[0].effects.iter().find(|e| e.place.starts_with(place)).expect("it is there");
-        effect.parameters[parameter].value
+    let value = |parameter: &str| {
+        let all = report.which[0].effects.iter().find_map(|e| e.parameters.get(parameter));
+        all.unwrap_or_else(|| panic!("{parameter}: {}", report.summary)).value
     };
     let force = if names[0] == "coulomb" { "force" } else { "coulomb" };
-    assert!((value("joint", force) - 0.03).abs() < 0.003);
-    assert!((value("input", "delay") - 0.04).abs() < 0.004);
+    assert!((value(force) - 0.03).abs() < 0.003);
+    assert!((value("delay") - 0.04).abs() < 0.004);
+    // With one sensor, a command that is late and a reading that is are one answer, whichever is in front.
+    let class = &report.which[0].class;
+    assert!(class.iter().any(|label| label.contains("delay@input:")), "{class:?}");
 }
 
 /// It closes less of the gap than the form of the first one might be off by; but nothing at all is left with it.
