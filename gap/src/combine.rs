@@ -1,5 +1,7 @@
-//! Several effects at once: from the best single ones forward (`grow`), and back (`shorten`) where one of them is not needed.
+//! Several effects at once: from the best single ones forward (`grow`), with others in the place of some (`exchange`), and back (`shorten`)
+//! where one of them is not needed.
 
+mod exchange;
 mod grow;
 mod promise;
 mod shorten;
@@ -10,7 +12,7 @@ use std::cell::OnceCell;
 use parallax_model::effect::{Effect, PlaceKind};
 use rayon::prelude::*;
 
-use crate::hypothesis::EffectAt;
+use crate::hypothesis::{EffectAt, Hypothesis};
 use crate::judge::{EVEN, Judge, WORTH};
 use crate::library;
 use crate::search::{Fit, INEXACT, fit_hypothesis, fit_part};
@@ -197,6 +199,11 @@ impl<'a> Combine<'a> {
         out
     }
 
+    /// The other forms of an effect.
+    fn other_forms<'b>(&'b self, own: &'b EffectAt) -> impl Iterator<Item = &'b EffectAt> {
+        self.forms.iter().filter(move |at| at.label() == own.label() && *at != own)
+    }
+
     /// An effect alone [`again`].
     fn again(&self, known: &Fit, beside: &Fit) -> Option<Fit> {
         again(self.setup, self.null, known, beside, &self.judge)
@@ -266,15 +273,20 @@ impl<'a> Combine<'a> {
 
 /// Whether `fit` is worth its effects over `base`, what is too small to be told from a form included; `left` is what any other effect
 /// promises beside it.
-pub fn is_worth(
+pub(crate) fn is_worth(
     setup: &Setup,
     null: &Fit,
     judge: &Judge,
     (fit, base): (&Fit, &Fit),
     left: impl FnOnce() -> f64,
 ) -> bool {
-    let predicts = || [null, base, fit].map(|fit| fit.error_ahead(setup, fit.theta()));
-    judge.is_worth_or(fit, base, left) || judge.is_worth_ahead(fit, base, predicts)
+    judge.is_worth_or(fit, base, left, || [null, base, fit].map(|fit| fit.error_ahead(setup, fit.theta())))
+}
+
+/// The hypothesis with one effect more than a fit has.
+fn one_more(setup: &Setup, fit: &Fit, further: &EffectAt) -> Hypothesis {
+    let effects: Vec<EffectAt> = fit.hypothesis.effects.iter().chain([further]).cloned().collect();
+    library::hypothesis(setup, &effects)
 }
 
 /// Whether two effects are one, or one contains the other at its place: they are alternatives, not companions.

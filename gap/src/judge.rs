@@ -139,43 +139,44 @@ impl Judge {
                 && fit.output_errors.iter().zip(&base.output_errors).any(closes))
     }
 
-    /// The same; what is too small to be told from the first effect's form counts where nothing is [`left`](is_nothing) with it, and only
-    /// there: a form that is off leaves more than one effect takes. Another value of a parameter follows what
-    /// a form is off by too well to be told from it, and so does what has states of its own.
+    /// The same; what is too small to be told from the first effect's form counts where nothing is [`left`](is_nothing) with it: a form
+    /// that is off leaves more than one effect takes. Or where windows with it leave nothing, and predictions over the horizon gain as much
+    /// as they would have to: windows choose their first states freely, and hardly show a force that changes slowly. `predicts` gives the
+    /// mean squared errors of the null model's predictions, of those of `base`, and of `fit`, in noise units squared. Another value of a
+    /// parameter follows what a form is off by too well to be told from it, and so does what has states of its own.
     #[must_use]
-    pub fn is_worth_or(&self, fit: &Fit, base: &Fit, left: impl FnOnce() -> f64) -> bool {
+    pub fn is_worth_or(
+        &self,
+        fit: &Fit,
+        base: &Fit,
+        left: impl FnOnce() -> f64,
+        predicts: impl FnOnce() -> [f64; 3],
+    ) -> bool {
         let complete = || is_nothing(left(), base.innovation.evidence_cost - fit.innovation.evidence_cost);
+        let same = || (base.shooting_error - fit.shooting_error).abs() < NUMERICAL * self.gap;
+        let at_floor = fit.shooting_error <= AT_FLOOR;
         if self.is_worth(fit, base) {
-            return fit.shooting_error <= AT_FLOOR
+            return at_floor
                 || self.beyond_form(fit, base) >= 1.0
                 || self.halves(fit, base)
                 || self.leaves_chance(fit, base)
                 || complete();
         }
-        self.may_be_small(fit, base) && complete()
-    }
-
-    /// The same of one that hardly shows in windows, whose first states are free, where nothing is left in them: it counts if it closes
-    /// as much of the gap over the horizon, from what the filter knew, as it would have to in windows. `predicts` gives the mean squared
-    /// errors of predictions, in noise units squared, of the null model, of `base` and of `fit`.
-    #[must_use]
-    pub fn is_worth_ahead(&self, fit: &Fit, base: &Fit, predicts: impl FnOnce() -> [f64; 3]) -> bool {
-        if fit.shooting_error > AT_FLOOR || !self.may_be_small(fit, base) {
-            return false;
-        }
-        let [null, before, after] = predicts();
-        before - after >= (MATERIAL * (null - 1.0)).max(AHEAD)
-    }
-
-    /// Whether a further effect may be one that is too small to be told from the first effect's form.
-    fn may_be_small(&self, fit: &Fit, base: &Fit) -> bool {
-        let same = || (base.shooting_error - fit.shooting_error).abs() < NUMERICAL * self.gap;
         let known = &base.hypothesis.effects;
         let tuned =
             || fit.hypothesis.effects.iter().any(|at| at.effect == Effect::Parameter && !known.contains(at));
         // Further states are free in every window, and take what the filter's steps through a stop or a limit leave as well.
         let freer = || fit.innovation.pass.states() > base.innovation.pass.states();
-        base.shooting_error <= INEXACT && self.gains(fit, base) && !same() && !tuned() && !freer()
+        let ahead = || {
+            let [null, before, after] = predicts();
+            before - after >= (MATERIAL * (null - 1.0)).max(AHEAD)
+        };
+        base.shooting_error <= INEXACT
+            && self.gains(fit, base)
+            && !same()
+            && !tuned()
+            && !freer()
+            && (complete() || (at_floor && ahead()))
     }
 
     /// Whether `fit` explains more than `other`, which has as many effects: clearly by what decides, or, where nothing reaches the noise,

@@ -3,11 +3,11 @@
 use rayon::prelude::*;
 
 use super::promise::{leaves_nothing, most_left, score, score_of};
-use super::{BASES, Candidate, Combine, TWIN, is_worth, overlap, same};
-use crate::hypothesis::{EffectAt, Hypothesis};
+use super::{BASES, Candidate, Combine, TWIN, is_worth, one_more, overlap, same};
+use crate::hypothesis::Hypothesis;
 use crate::judge::{DECISIVE, EVEN, Judge, WORTH};
 use crate::library;
-use crate::search::{Fit, INEXACT, Width, fit_all, fit_part};
+use crate::search::{Fit, INEXACT, Width, fit_all};
 use crate::signature::{self, Nuisance};
 use crate::stop::SEVERAL;
 
@@ -125,30 +125,6 @@ impl<'a> Combine<'a> {
         Grown { fit: sure, again, rejected }
     }
 
-    /// Where the noise is not reached: the best combination with another effect, or another form, in the place of one of
-    /// them. Each was chosen before what came later was known.
-    pub(super) fn exchanged(&mut self, fit: &Fit) -> Option<Fit> {
-        let (setup, effects) = (self.setup, &fit.hypothesis.effects);
-        if effects.len() < 2 || fit.shooting_error <= INEXACT {
-            return None;
-        }
-        let mut others: Vec<Fit> = Vec::new();
-        for (left_out, own) in effects.iter().enumerate() {
-            if setup.stop.leaves_out(|| SEVERAL.into()) {
-                return None;
-            }
-            let rest = self.without(fit, left_out);
-            others.extend(self.in_other_forms(&rest, own));
-            // The last one was chosen beside all others.
-            if left_out + 1 < effects.len() {
-                others.extend(self.extended(&rest));
-            }
-        }
-        let judge = &self.judge;
-        let best = judge.best(others.iter())?;
-        judge.is_better(best, fit).then(|| best.clone())
-    }
-
     /// A combination whose last effect is in the place of one of those of `base`, where that explains more: what is too small beside the
     /// others may be what one of them stands in for.
     fn in_place_of_one(&self, with: &Fit, base: &Fit) -> Option<Fit> {
@@ -161,45 +137,8 @@ impl<'a> Combine<'a> {
         self.judge.is_better(best, base).then(|| best.clone())
     }
 
-    /// The combination with each effect in the form that explains most beside the others, from where it is.
-    pub(super) fn reformed(&self, mut fit: Fit) -> Fit {
-        let setup = self.setup;
-        for k in 0..fit.hypothesis.effects.len() {
-            let own = fit.hypothesis.effects[k].clone();
-            let forms: Vec<&EffectAt> = self.other_forms(&own).collect();
-            if forms.is_empty() || setup.stop.leaves_out(|| SEVERAL.into()) {
-                continue;
-            }
-            let others = forms.into_par_iter().map(|form| {
-                let mut effects = fit.hypothesis.effects.clone();
-                effects[k] = form.clone();
-                fit_part(setup, self.null, library::hypothesis(setup, &effects), &fit)
-            });
-            let others: Vec<Fit> = others.filter(|other| library::is_possible(setup, other)).collect();
-            if let Some(best) = self.judge.best(others.iter()).filter(|best| self.judge.is_better(best, &fit))
-            {
-                fit = best.clone();
-            }
-        }
-        fit
-    }
-
-    /// The other forms of an effect.
-    fn other_forms<'b>(&'b self, own: &'b EffectAt) -> impl Iterator<Item = &'b EffectAt> {
-        self.forms.iter().filter(move |at| at.label() == own.label() && *at != own)
-    }
-
-    /// A combination with one effect more, which is `own` in each of its other forms.
-    fn in_other_forms(&self, rest: &Fit, own: &EffectAt) -> Vec<Fit> {
-        let with = |form: &EffectAt| {
-            let effects = rest.hypothesis.effects.iter().chain([form]).cloned().collect::<Vec<_>>();
-            library::hypothesis(self.setup, &effects)
-        };
-        fit_all(self.setup, rest, self.other_forms(own).map(with).collect(), Width::FURTHER, &|_| ())
-    }
-
     /// The best fit with one effect more, if any effect promises something.
-    fn extended(&mut self, base: &Fit) -> Option<Fit> {
+    pub(super) fn extended(&mut self, base: &Fit) -> Option<Fit> {
         // What repeats shows best beside what the base explains.
         let setup = &self.setup.with_lines_of(&base.innovation.pass);
         let nuisance = Nuisance::new(base);
@@ -207,10 +146,7 @@ impl<'a> Combine<'a> {
         let mut scores: Vec<(f64, &Candidate<'_>, Hypothesis)> = others
             .filter(|other| !base.hypothesis.effects.iter().any(|own| overlap(own, other.at)))
             .flat_map_iter(|other| {
-                let with = |at: &EffectAt| {
-                    let effects = base.hypothesis.effects.iter().chain([at]).cloned().collect::<Vec<_>>();
-                    (score(setup, base, &nuisance, at), other, library::hypothesis(setup, &effects))
-                };
+                let with = |at| (score(setup, base, &nuisance, at), other, one_more(setup, base, at));
                 let (mut most, _, mut hypothesis) = with(other.at);
                 if other.helps {
                     let start = hypothesis.starts_at(&other.alone.hypothesis, other.alone.estimate());
