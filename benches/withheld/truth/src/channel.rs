@@ -110,9 +110,12 @@ fn actuator(c: &Cause, state: &mut Option<[f64; 2]>, u: f64, rest: f64) -> f64 {
     }
 }
 
+/// A step under a constant `u` by the trapezoidal rule, so that what is shown is neither early nor late.
 fn second_order(s: &mut [f64; 2], u: f64, time: f64, damping: f64) -> f64 {
-    s[1] += H * (u - s[0] - 2.0 * damping * time * s[1]) / (time * time);
-    s[0] += H * s[1];
+    let (stiff, damped) = ((0.5 * H / time).powi(2), H * damping / time);
+    let before = s[1];
+    s[1] = (before * (1.0 - stiff - damped) + H * (u - s[0]) / (time * time)) / (1.0 + stiff + damped);
+    s[0] += 0.5 * H * (before + s[1]);
     s[0]
 }
 
@@ -129,17 +132,20 @@ pub(crate) fn show(
     for c in &causes {
         let [a, b, ..] = c.p;
         let mut s = [true_values[0], 0.0];
+        // What the sensor sees over a step is what is true in its middle.
+        let mut before = true_values[0];
+        let mut seen = |y: f64| 0.5 * (y + std::mem::replace(&mut before, y));
         match c.kind {
             Kind::SensorLag if a > 0.0 => {
                 let step = 1.0 - (-H / a).exp();
                 for y in shown.to_mut() {
-                    s[0] += (*y - s[0]) * step;
+                    s[0] += (seen(*y) - s[0]) * step;
                     *y = s[0];
                 }
             }
             Kind::SensorLagSecond if a > 0.0 => {
                 for y in shown.to_mut() {
-                    *y = second_order(&mut s, *y, a, b);
+                    *y = second_order(&mut s, seen(*y), a, b);
                 }
             }
             _ => {}

@@ -1,6 +1,7 @@
 //! The generator keeps its promises.
 
 use crate::case::{Case, reading, stream};
+use crate::channel::{Channel, show};
 use crate::effect::{Cause, INPUT, JOINT, Kind, OUTPUT, Place, draw, label, table};
 use crate::mechanics::{H, Machine};
 use crate::signature::{detectability, judge};
@@ -131,6 +132,34 @@ fn a_sensor_with_a_fast_clock_shows_nothing_from_after_the_end() {
         let at = (stamp * 1.005 / H).round() as usize;
         let (truth, speed) = (run.states[at].q[0], run.states[at].v[0]);
         assert!((y - truth).abs() < 5.0 * noise + speed.abs() * H, "{stamp} s");
+    }
+}
+
+/// What lags follows a ramp late by the area above its step response: the time constant of a first order, twice the damping of it of
+/// a second.
+#[test]
+fn what_lags_follows_a_ramp_as_late_as_its_constants_say() {
+    const SPEED: f64 = 3.0;
+    /// A thousandth of a step (s).
+    const EXACT: f64 = 1e-3 * H;
+    let ramp: Vec<f64> = (0..20_000).map(|k| SPEED * k as f64 * H).collect();
+    let last = ramp.len() - 1;
+    for (sensor, actuator, p, late) in [
+        (Kind::SensorLag, Kind::Lag, [0.02, 0.0, 0.0, 0.0], 0.02),
+        (Kind::SensorLagSecond, Kind::LagSecond, [0.02, 0.4, 0.0, 0.0], 0.016),
+    ] {
+        let slow = [cause(sensor, Place::Output(0), p)];
+        let shown = show(&slow, 0, &ramp, 1, &mut stream(1, 50));
+        assert!((ramp[last] - shown[last].1 - SPEED * late).abs() < EXACT * SPEED, "{:?}", shown[last]);
+        let sluggish = [cause(actuator, Place::Input(0), p)];
+        let mut channel = Channel::new(&sluggish, 0, 0.0, stream(1, 20));
+        let mut acting = 0.0;
+        for (k, middle) in ramp.iter().map(|u| u + 0.5 * SPEED * H).enumerate() {
+            channel.send(k as f64 * H, middle);
+            acting = channel.act(k as f64 * H);
+        }
+        let now = ramp[last] + 0.5 * SPEED * H;
+        assert!((now - acting - SPEED * late).abs() < EXACT * SPEED, "{acting}");
     }
 }
 
