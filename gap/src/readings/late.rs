@@ -193,9 +193,10 @@ pub(super) fn as_lost(setup: &Setup, base: &Fit, late: &Acted) -> Option<Reading
         (1..sent.values.len()).filter(|&k| sent.values[k] != sent.values[k - 1]).collect();
     let count = changes.len() as f64;
     let mean = changes.iter().map(|&k| late.acted.times[k] - sent.times[k]).sum::<f64>() / count;
-    let spread = late.effect.parameters.get("spread")?.value;
-    let rate = lost_share(mean, spread, median(&mut between))?;
-    let std = (rate * (1.0 - rate) / count).sqrt();
+    let spread = late.effect.parameters.get("spread")?;
+    let rate = lost_share(mean, spread.value, median(&mut between))?;
+    // The share goes with the square of the spread, and is known no better than that.
+    let std = (rate * (1.0 - rate) / count).sqrt().hypot(2.0 * rate * spread.std / spread.value);
     let value = Value { value: rate, std, unit: String::new() };
     let density = scatter::density_at_input(setup, base, late.input, (f64::INFINITY, rate.sqrt()));
     let (place, evidence) = (late.effect.place.clone(), late.effect.evidence);

@@ -138,12 +138,12 @@ impl<'a> Believed<'a> {
     /// Fits the hypothesis to what is believed, and believes what the fit says, in turn. Gives the likeliest of it that can be losses.
     fn settle(&mut self, base: &Fit) -> Option<Round> {
         let mut best: Option<Round> = None;
-        let mut worse = 0;
+        let (mut worse, mut settled, mut from) = (0, false, base.clone());
         for _ in 0..ROUNDS {
             if worse == PATIENCE || self.stamps().is_empty() || self.clean.stop.asked() {
                 break;
             }
-            let fit = refitted(&self.clean, base);
+            let fit = refitted(&self.clean, &from);
             let Some(beam) = self.beam(&fit, &fit.innovation.noise) else { break };
             let (mut rate, arrived) = (self.rate, beam.arrived());
             let found = beam.losses(&mut rate);
@@ -161,8 +161,14 @@ impl<'a> Believed<'a> {
                 best =
                     Some(Round { cost, error, rate: found.rate, of: found.of, acted: self.acted().clone() });
             }
-            if !self.revise(&found.lost) {
+            // Beside the same losses a fit may get further from where it came to: the first one began beside none.
+            let same = !self.revise(&found.lost);
+            if same && settled {
                 break;
+            }
+            settled = same;
+            if error < from.shooting_error {
+                (worse, from) = (0, fit);
             }
         }
         best
