@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use parallax_model::effect::{Effect, Place, PlaceKind};
 use parallax_model::system::EffectEntry;
 
-use crate::hypothesis::Slot;
+use crate::hypothesis::{Hypothesis, Slot};
 use crate::library;
 use crate::posterior;
 use crate::readings::ReadingEffect;
@@ -247,17 +247,21 @@ pub(crate) fn places(posterior: &posterior::Posterior, readings: &[ReadingEffect
     out
 }
 
-/// The speed within which dry friction was smoothed.
-fn smoothing(setup: &Setup, effect: &FittedEffect) -> Option<f64> {
+/// The speed within which dry friction was smoothed, in steps so many times finer than those of a search.
+fn smoothing(setup: &Setup, effect: &FittedEffect, fineness: f64) -> Option<f64> {
     let place: Place = effect.place.parse().ok()?;
     let joint = setup.equations.system().joint(&place.key).filter(|_| place.kind == PlaceKind::Joint)?;
     let parameters: Vec<&str> = effect.parameters.keys().map(String::as_str).collect();
     let dry = Effect::with_parameters(&effect.name, &parameters).is_some_and(Effect::is_dry);
-    dry.then(|| setup.joints[joint].smoothing)
+    dry.then(|| setup.joints[joint].smoothing / fineness)
 }
 
-/// What is added to a corrected system.
-pub(crate) fn corrected_effects(setup: &Setup, effects: &[FittedEffect]) -> Vec<EffectEntry> {
+/// What is added to a corrected system, of effects that were fitted under this hypothesis.
+pub(crate) fn corrected_effects(
+    setup: &Setup,
+    hypothesis: &Hypothesis,
+    effects: &[FittedEffect],
+) -> Vec<EffectEntry> {
     effects
         .iter()
         // A parameter with another value is written as that value.
@@ -266,7 +270,7 @@ pub(crate) fn corrected_effects(setup: &Setup, effects: &[FittedEffect]) -> Vec<
             name: e.name.clone(),
             place: e.place.clone(),
             parameters: e.parameters.iter().map(|(name, v)| (name.clone(), v.value)).collect(),
-            smoothing: smoothing(setup, e),
+            smoothing: smoothing(setup, e, hypothesis.fineness()),
             line: 0,
         })
         .collect()

@@ -205,9 +205,6 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
         with_best = Some(row(answers.leader(&null)));
         scattered = possible(readings::scatter(setup, answers.leader(&null)));
     }
-    let best = &answers.leader(&null).clone();
-    readings.extend(scattered);
-
     let explanations = explain::explain(
         &explain::Evidence {
             setup,
@@ -218,6 +215,14 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
         },
         &options.explain,
     );
+    // Where there is no gap, nothing asks to be told apart; an experiment is the dearest part of a report.
+    let confusable = if detected { confusable(setup, &null, &answers, options.seed) } else { Vec::new() };
+    if detected && named && answers.sharpen(setup, &null) {
+        with_best = Some(row(answers.leader(&null)));
+        scattered = possible(readings::scatter(setup, answers.leader(&null)));
+    }
+    let best = &answers.leader(&null).clone();
+    readings.extend(scattered);
 
     let nominal_theta: Vec<f64> = null.hypothesis.fitted.iter().map(|f| f.null).collect();
     let simulator = library::simulator(scored, &null.hypothesis, Vec::new());
@@ -287,8 +292,7 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
             .into_iter()
             .map(|n| NotTestable { effect: n.effect.label(), reason: n.reason })
             .collect(),
-        // Where there is no gap, nothing asks to be told apart; an experiment is the dearest part of a report.
-        confusable: if mean_detected { confusable(setup, &null, &answers, options.seed) } else { Vec::new() },
+        confusable,
         how_far,
         closed_loop: None,
         corrected_system: None,
@@ -302,7 +306,7 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
         place: r.place.clone(),
         parameters: r.parameters.clone(),
     }));
-    let effects = answers::corrected_effects(setup, &found);
+    let effects = answers::corrected_effects(setup, &shown.hypothesis, &found);
     let (calibrated, refitted) = (calibration::values(setup, shown), calibration::values(setup, &null));
     let mut diagnosis = Diagnosis { report, overlays, calibrated, refitted, effects, rows };
     diagnosis.report.summary = crate::report::sentence::summary(&diagnosis.report);
@@ -353,7 +357,8 @@ fn split(setup: &Setup, null: &Fit, best: &Fit, refitted: &Row, with_effect: &Ro
         } else if chosen.len() == effects.len() {
             closed(with_effect)
         } else {
-            let fit = search::fit_part(setup, null, library::hypothesis(setup, &chosen), best);
+            let hypothesis = library::hypothesis(setup, &chosen).as_fine_as(&best.hypothesis);
+            let fit = search::fit_part(setup, null, hypothesis, best);
             let simulator = library::simulator(setup, &fit.hypothesis, Vec::new());
             // What alone makes predictions worse, however much, closes nothing alone.
             closed(&quantify::predict(setup, &simulator, fit.estimate(), &fit.innovation.noise)).max(0.0)

@@ -140,9 +140,22 @@ pub struct Hypothesis {
     pub fitted: Vec<Fitted>,
     /// Whether it carries a flexible residual instead of a named cause.
     pub residual: bool,
+    /// How often the integration step, and the speed within which its dry friction is smoothed, are halved from those of a search.
+    pub halvings: u32,
 }
 
 impl Hypothesis {
+    /// The same in steps as fine as another's.
+    #[must_use]
+    pub(crate) fn as_fine_as(self, other: &Self) -> Self {
+        Self { halvings: other.halvings, ..self }
+    }
+
+    /// How many times finer its steps are than those of a search.
+    pub(crate) fn fineness(&self) -> f64 {
+        f64::from(self.halvings).exp2()
+    }
+
     /// The entries of θ that are limits of a level, at whose null nothing reaches them.
     pub(crate) fn limits(&self) -> impl Iterator<Item = usize> {
         let is_limit = |f: &Fitted| match f.slot {

@@ -111,7 +111,7 @@ pub fn hypothesis(setup: &Setup, effects: &[EffectAt]) -> Hypothesis {
             fitted.push(sizes::fitted(setup, at, index, spec, slot));
         }
     }
-    Hypothesis { effects: effects.to_vec(), fitted, residual: false }
+    Hypothesis { effects: effects.to_vec(), fitted, residual: false, halvings: 0 }
 }
 
 /// The nominal parameters that a user lets a fit move.
@@ -227,11 +227,12 @@ pub fn simulator<'a>(
     for at in &hypothesis.effects {
         effects.push((at.effect, at.place.kind, place_index(setup, &at.place).unwrap_or(0)));
     }
-    let smoothing = setup.joints.iter().map(|j| j.smoothing).collect();
+    let finer = hypothesis.fineness();
+    let smoothing = setup.joints.iter().map(|j| j.smoothing / finer).collect();
     let plant = Plant::new(setup.equations.clone(), &effects, residuals, smoothing);
     let slots = hypothesis.fitted.iter().map(|f| f.slot).collect();
     let std = extra_std(setup, &plant);
-    EquationsSimulator::new(plant, slots, &setup.experiment, setup.step)
+    EquationsSimulator::new(plant, slots, &setup.experiment, setup.step / finer)
         .with_extra_std(std)
         .with_noise(&setup.output_noise)
 }

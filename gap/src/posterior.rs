@@ -87,6 +87,15 @@ impl Posterior {
         self.leave_to_unknown(1.0 - left.doubted(first, named, self.unexplained));
     }
 
+    /// Has the leading answer's dry friction as sharp as the data say it is. Gives whether that is sharper than a search has it. What the
+    /// answers weigh stays as it was, where all of them were as smooth.
+    pub(crate) fn sharpen(&mut self, setup: &Setup, null: &Fit) -> bool {
+        let Some(leader) = self.answers.first_mut() else { return false };
+        let Some(sharper) = search::sharpened(setup, null, &leader.fit) else { return false };
+        leader.fit = sharper;
+        true
+    }
+
     /// Puts a delay at the place of readings whose times scatter, where it is their mean, in the place of one of several effects of the
     /// leading answer, where the evidence does not tell the two apart decisively: what is late on average looks late in more than one way.
     /// Gives whether it did.

@@ -1,6 +1,7 @@
 //! Fits every hypothesis and weighs them: short windows find the minimum, the innovation likelihood ranks.
 
 mod fitted;
+mod sharp;
 mod wave;
 
 use parallax_model::plant::Residual;
@@ -15,6 +16,7 @@ use crate::setup::Setup;
 use crate::stop::SEVERAL;
 use crate::windows::{FEW, Shot, fit_windows, representative, windows};
 pub use fitted::{Fit, INEXACT, RESTS};
+pub(crate) use sharp::sharpened;
 
 /// Most Gauss–Newton steps of a fit.
 const ITERATIONS: usize = 15;

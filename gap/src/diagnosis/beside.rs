@@ -36,7 +36,7 @@ impl Rounds<'_> {
         if is_noise || setup.stop.leaves_out(|| SEVERAL.into()) {
             return None;
         }
-        let effects = corrected_effects(setup, &fitted_effects(setup, best));
+        let effects = corrected_effects(setup, &best.hypothesis, &fitted_effects(setup, best));
         let values = calibration::values(setup, best);
         let system = setup.equations.system().with_corrections(&values, &effects);
         let mut experiment = experiment.clone();
