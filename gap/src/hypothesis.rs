@@ -145,10 +145,17 @@ pub struct Hypothesis {
 }
 
 impl Hypothesis {
-    /// The same in steps as fine as another's.
+    /// The same in steps no coarser than another's, where it has dry friction as well.
     #[must_use]
-    pub(crate) fn as_fine_as(self, other: &Self) -> Self {
-        Self { halvings: other.halvings, ..self }
+    pub(crate) fn no_coarser_than(self, other: &Self) -> Self {
+        let halvings = if self.is_dry() { self.halvings.max(other.halvings) } else { self.halvings };
+        Self { halvings, ..self }
+    }
+
+    /// Whether one of its effects is dry friction.
+    #[must_use]
+    pub fn is_dry(&self) -> bool {
+        self.effects.iter().any(|at| at.effect.is_dry())
     }
 
     /// How many times finer its steps are than those of a search.

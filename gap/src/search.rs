@@ -16,7 +16,7 @@ use crate::setup::Setup;
 use crate::stop::SEVERAL;
 use crate::windows::{FEW, Shot, fit_windows, representative, windows};
 pub use fitted::{Fit, INEXACT, RESTS};
-pub(crate) use sharp::sharpened;
+pub(crate) use sharp::{HALVINGS, sharpened};
 
 /// Most Gauss–Newton steps of a fit.
 const ITERATIONS: usize = 15;
@@ -214,6 +214,7 @@ struct Screened {
 
 /// Follows every start of a hypothesis for a few steps, on a sample of the windows.
 fn screen(setup: &Setup, base: &Fit, hypothesis: Hypothesis) -> Screened {
+    let hypothesis = hypothesis.no_coarser_than(&base.hypothesis);
     let simulator = library::simulator(setup, &hypothesis, Vec::new());
     let sample = representative(setup, windows(setup, &simulator, &base.innovation.pass), SCREEN_WINDOWS);
     let declared = hypothesis.starts();
@@ -344,6 +345,7 @@ pub fn fit_hypothesis(setup: &Setup, base: &Fit, hypothesis: Hypothesis) -> Fit 
 /// parameters are that both forms have.
 #[must_use]
 pub fn fit_part(setup: &Setup, null: &Fit, hypothesis: Hypothesis, whole: &Fit) -> Fit {
+    let hypothesis = hypothesis.no_coarser_than(&whole.hypothesis);
     let mut start: Vec<f64> = hypothesis.fitted.iter().map(|f| f.null).collect();
     start_where(whole, &hypothesis, &mut start);
     fit_at(setup, null, hypothesis, &start)
@@ -352,6 +354,7 @@ pub fn fit_part(setup: &Setup, null: &Fit, hypothesis: Hypothesis, whole: &Fit) 
 /// Fits the effects of two fits together, from where they are in these, calibrated parameters as the second has them.
 #[must_use]
 pub fn fit_together(setup: &Setup, hypothesis: Hypothesis, first: &Fit, second: &Fit) -> Fit {
+    let hypothesis = hypothesis.no_coarser_than(&first.hypothesis).no_coarser_than(&second.hypothesis);
     let mut start: Vec<f64> = hypothesis.fitted.iter().map(|f| f.null).collect();
     start_where(first, &hypothesis, &mut start);
     start_where(second, &hypothesis, &mut start);

@@ -234,9 +234,8 @@ impl<'a> Bench<'a> {
 
     /// How far the candidates are from each other, and how far each output would go. `None` when a candidate leaves the ranges.
     fn apart(&self, trial: &Trial, noise: impl Fn(usize) -> Noise) -> Option<(Apart, Vec<(f64, f64)>)> {
-        let dry = |fit: &&Fit| fit.hypothesis.effects.iter().any(|at| at.effect.is_dry());
         // Smoothed friction creeps where a machine stands: what is told by how it creeps is told by nothing.
-        let sticks = self.candidates.iter().any(dry);
+        let sticks = self.candidates.iter().any(|fit| fit.hypothesis.is_dry());
         let mut shown = Vec::with_capacity(self.candidates.len());
         for candidate in self.candidates {
             let found = if sticks { trial.simulate_finely(candidate)? } else { trial.simulate(candidate)? };

@@ -17,17 +17,14 @@ use parallax_model::system::Point;
 use crate::experiment::{Experiment, Held, Sample, SupplyVoltage};
 use crate::filter::Noise;
 use crate::guess::Guess;
+use crate::hypothesis::Hypothesis;
 use crate::innovation::{Segment, walk};
 use crate::library;
 use crate::noise::unwrapped;
-use crate::search::Fit;
+use crate::search::{Fit, HALVINGS};
 use crate::setup::Setup;
 use crate::simulator::{Simulator, Trajectory};
 use crate::statistics::median;
-
-/// How much steeper dry friction is in the machine that a trial imagines than in the models that follow it: enough that it stands
-/// where they creep.
-const FINER: f64 = 8.0;
 
 /// A setup around an experiment that is yet to be made. The readings are empty until a candidate is simulated.
 #[derive(Clone, Debug)]
@@ -112,20 +109,17 @@ impl Trial {
     /// What the candidate shows under the trial's commands. `None` when it gives numbers that are not finite.
     #[must_use]
     pub fn simulate(&self, fit: &Fit) -> Option<Shown> {
-        self.simulate_under(&self.setup, fit)
+        self.simulate_as(&fit.hypothesis, fit)
     }
 
     /// The same in steps that are as much shorter as its dry friction is steeper: nearer to a machine, which stands where it sticks.
     #[must_use]
     pub fn simulate_finely(&self, fit: &Fit) -> Option<Shown> {
-        let mut setup = self.setup.clone();
-        setup.step /= FINER;
-        setup.joints.iter_mut().for_each(|joint| joint.smoothing /= FINER);
-        self.simulate_under(&setup, fit)
+        self.simulate_as(&Hypothesis { halvings: HALVINGS, ..fit.hypothesis.clone() }, fit)
     }
 
-    fn simulate_under(&self, setup: &Setup, fit: &Fit) -> Option<Shown> {
-        let simulator = library::simulator(setup, &fit.hypothesis, Vec::new());
+    fn simulate_as(&self, hypothesis: &Hypothesis, fit: &Fit) -> Option<Shown> {
+        let simulator = library::simulator(&self.setup, hypothesis, Vec::new());
         let outputs = self.setup.experiment.wraps.len();
         let mut found: Vec<Vec<f64>> = vec![Vec::new(); outputs];
         let mut run = simulator.run_at(fit.theta());
@@ -175,7 +169,9 @@ impl Trial {
             sample.value = *value;
         }
         let segment = Segment { from: 0.0, to: self.duration + 1e-6, guess: shown.guess.clone() };
-        let simulator = library::simulator(&setup, &other.hypothesis, Vec::new());
+        // Who follows is as smooth as in a search: an experiment is looked for in many trials.
+        let follower = Hypothesis { halvings: 0, ..other.hypothesis.clone() };
+        let simulator = library::simulator(&setup, &follower, Vec::new());
         let pass = walk(&simulator, &[segment], &setup.noise, noise, other.theta());
         let innovations = DVector::from_vec(pass.whitened());
         let p = other.hypothesis.fitted.len();

@@ -11,16 +11,16 @@ use crate::library;
 use crate::setup::Setup;
 
 /// How often steps are halved, at most: an eighth of them costs eight times as much, and leaves an eighth of what is made up for.
-const HALVINGS: u32 = 3;
+pub(crate) const HALVINGS: u32 = 3;
 
 /// The same hypothesis in those of finer steps in which it explains most, if it has dry friction and explains more there.
 pub(crate) fn sharpened(setup: &Setup, null: &Fit, fit: &Fit) -> Option<Fit> {
-    if !fit.hypothesis.effects.iter().any(|at| at.effect.is_dry()) {
+    if !fit.hypothesis.is_dry() {
         return None;
     }
     let cost = |fit: &Fit| fit.innovation.evidence_cost;
     let (mut from, mut best) = (fit.clone(), None);
-    for halvings in 1..=HALVINGS {
+    for halvings in fit.hypothesis.halvings + 1..=HALVINGS {
         if setup.stop.asked() {
             break;
         }
