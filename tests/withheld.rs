@@ -159,7 +159,7 @@ fn dry_friction_is_reported_as_large_as_it_is() {
     let plan = json!({ "set": "single", "system": 0, "effect": 13 });
     let report = of_past_run(plan, 13_349_989_279_133_131_487, &["load_friction"]);
     let ratio = named(&report)["load_friction"]["parameters"]["ratio"]["value"].as_f64().unwrap();
-    assert!((ratio / 0.215088 - 1.0).abs() < 0.004, "{ratio}");
+    assert!((ratio / 0.215_088 - 1.0).abs() < 0.004, "{ratio}");
 }
 
 /// Beside the commands that were lost a force gets further from where its fit began: while they were still believed, it was elsewhere.
