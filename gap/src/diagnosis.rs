@@ -217,7 +217,8 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     );
     // Where there is no gap, nothing asks to be told apart; an experiment is the dearest part of a report.
     let confusable = if detected { confusable(setup, &null, &answers, options.seed) } else { Vec::new() };
-    if detected && named && answers.sharpen(setup, &null) {
+    let sharp = detected && named && answers.sharpen(setup, &null);
+    if sharp {
         with_best = Some(row(answers.leader(&null)));
         scattered = possible(readings::scatter(setup, answers.leader(&null)));
     }
@@ -237,7 +238,9 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     // With commands that acted otherwise the null, too, is another one once that is known.
     let known = || if acted.is_some() { row(&null) } else { refitted.clone() };
     let with_effect = with_best.unwrap_or_else(known);
-    let black_box = answers.residual(named).map_or_else(|| with_effect.clone(), row);
+    // A residual that was fitted beside a smoother answer may be worse than none beside the sharp one.
+    let gains = |black_box: &Row| !sharp || black_box.mean_square() < with_effect.mean_square();
+    let black_box = answers.residual(named).map(row).filter(gains).unwrap_or_else(|| with_effect.clone());
 
     let rows = Rows { nominal, refitted, with_effect, black_box };
     let Rows { refitted, with_effect, .. } = &rows;
