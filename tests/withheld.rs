@@ -115,7 +115,7 @@ fn two_cases_are_made_sealed_diagnosed_and_scored() {
     assert!(!nowhere.exists());
 }
 
-/// The report of a case of a past run, of nothing but `only` these effects where some are named.
+/// The report of a case of a past run, with `only` these effects to choose from.
 fn of_past_run(plan: Value, seed: u64, only: &[&str]) -> Value {
     let folder = tempfile::tempdir().unwrap();
     let case = folder.path().join("case");
@@ -134,10 +134,13 @@ fn of_past_run(plan: Value, seed: u64, only: &[&str]) -> Value {
     scores(&output)
 }
 
-/// The effects of the first answer, by their names.
-fn named(report: &Value) -> BTreeMap<&str, &Value> {
+/// The parameters of the first answer's effects, which have these names, in order.
+fn parameters<'a>(report: &'a Value, names: &[&str]) -> BTreeMap<&'a str, &'a Value> {
     let effects = report["which"][0]["effects"].as_array().unwrap();
-    effects.iter().map(|effect| (effect["name"].as_str().unwrap(), effect)).collect()
+    let named = effects.iter().map(|effect| (effect["name"].as_str().unwrap(), &effect["parameters"]));
+    let named: BTreeMap<&str, &Value> = named.collect();
+    assert_eq!(named.keys().copied().collect::<Vec<_>>(), names, "{}", report["summary"]);
+    named
 }
 
 /// A pair whose second cause shows only once the first is part of the system: what the first one's fit leaves has its lines elsewhere,
@@ -146,10 +149,8 @@ fn named(report: &Value) -> BTreeMap<&str, &Value> {
 fn a_slow_wave_beside_a_limited_rate_is_found() {
     let plan = json!({ "set": "pair", "system": 2, "effect": 36 });
     let report = of_past_run(plan, 16_773_109_383_392_786_249, &["rate_limit", "periodic_disturbance"]);
-    let effects = named(&report);
-    let names: Vec<&str> = effects.keys().copied().collect();
-    assert_eq!(names, ["periodic_disturbance", "rate_limit"], "{}", report["summary"]);
-    let frequency = effects["periodic_disturbance"]["parameters"]["frequency"]["value"].as_f64().unwrap();
+    let found = parameters(&report, &["periodic_disturbance", "rate_limit"]);
+    let frequency = found["periodic_disturbance"]["frequency"]["value"].as_f64().unwrap();
     assert!((frequency - 1.173_87).abs() < 0.001, "{frequency} Hz");
 }
 
@@ -158,7 +159,7 @@ fn a_slow_wave_beside_a_limited_rate_is_found() {
 fn dry_friction_is_reported_as_large_as_it_is() {
     let plan = json!({ "set": "single", "system": 0, "effect": 13 });
     let report = of_past_run(plan, 13_349_989_279_133_131_487, &["load_friction"]);
-    let ratio = named(&report)["load_friction"]["parameters"]["ratio"]["value"].as_f64().unwrap();
+    let ratio = parameters(&report, &["load_friction"])["load_friction"]["ratio"]["value"].as_f64().unwrap();
     assert!((ratio / 0.215_088 - 1.0).abs() < 0.004, "{ratio}");
 }
 
@@ -167,10 +168,7 @@ fn dry_friction_is_reported_as_large_as_it_is() {
 fn lost_commands_beside_a_force_that_repeats_with_the_position_are_found() {
     let plan = json!({ "set": "pair", "system": 1, "effect": 2 });
     let report = of_past_run(plan, 17_464_261_337_586_375_310, &["cogging", "drops"]);
-    let effects = named(&report);
-    let names: Vec<&str> = effects.keys().copied().collect();
-    assert_eq!(names, ["cogging", "drops"], "{}", report["summary"]);
-    let rate = &effects["drops"]["parameters"]["rate"];
+    let rate = &parameters(&report, &["cogging", "drops"])["drops"]["rate"];
     let off = rate["value"].as_f64().unwrap() - 0.048_97;
     assert!(off.abs() < 2.0 * rate["std"].as_f64().unwrap(), "{rate}");
 }

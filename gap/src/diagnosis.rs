@@ -360,8 +360,7 @@ fn split(setup: &Setup, null: &Fit, best: &Fit, refitted: &Row, with_effect: &Ro
         } else if chosen.len() == effects.len() {
             closed(with_effect)
         } else {
-            let hypothesis = library::hypothesis(setup, &chosen).no_coarser_than(&best.hypothesis);
-            let fit = search::fit_part(setup, null, hypothesis, best);
+            let fit = search::fit_part(setup, null, library::hypothesis(setup, &chosen), best);
             let simulator = library::simulator(setup, &fit.hypothesis, Vec::new());
             // What alone makes predictions worse, however much, closes nothing alone.
             closed(&quantify::predict(setup, &simulator, fit.estimate(), &fit.innovation.noise)).max(0.0)

@@ -214,7 +214,6 @@ struct Screened {
 
 /// Follows every start of a hypothesis for a few steps, on a sample of the windows.
 fn screen(setup: &Setup, base: &Fit, hypothesis: Hypothesis) -> Screened {
-    let hypothesis = hypothesis.no_coarser_than(&base.hypothesis);
     let simulator = library::simulator(setup, &hypothesis, Vec::new());
     let sample = representative(setup, windows(setup, &simulator, &base.innovation.pass), SCREEN_WINDOWS);
     let declared = hypothesis.starts();
@@ -341,8 +340,8 @@ pub fn fit_hypothesis(setup: &Setup, base: &Fit, hypothesis: Hypothesis) -> Fit 
     }
 }
 
-/// Fits some of the effects of a fitted hypothesis, from where they are in it; an effect in another form from where its
-/// parameters are that both forms have.
+/// Fits some of the effects of a fitted hypothesis, from where they are in it, in steps no coarser where friction is dry; an effect in
+/// another form from where its parameters are that both forms have.
 #[must_use]
 pub fn fit_part(setup: &Setup, null: &Fit, hypothesis: Hypothesis, whole: &Fit) -> Fit {
     let hypothesis = hypothesis.no_coarser_than(&whole.hypothesis);
@@ -354,7 +353,6 @@ pub fn fit_part(setup: &Setup, null: &Fit, hypothesis: Hypothesis, whole: &Fit) 
 /// Fits the effects of two fits together, from where they are in these, calibrated parameters as the second has them.
 #[must_use]
 pub fn fit_together(setup: &Setup, hypothesis: Hypothesis, first: &Fit, second: &Fit) -> Fit {
-    let hypothesis = hypothesis.no_coarser_than(&first.hypothesis).no_coarser_than(&second.hypothesis);
     let mut start: Vec<f64> = hypothesis.fitted.iter().map(|f| f.null).collect();
     start_where(first, &hypothesis, &mut start);
     start_where(second, &hypothesis, &mut start);

@@ -138,8 +138,7 @@ fn natural_size(setup: &Setup, target: Target) -> f64 {
 #[must_use]
 pub fn fit_unknown(setup: &Setup, null: &Fit, base: &Fit, choice: Choice) -> Fit {
     let residuals = residuals(setup, null, choice.unknown);
-    let mut hypothesis =
-        library::hypothesis(setup, &base.hypothesis.effects).no_coarser_than(&base.hypothesis);
+    let mut hypothesis = library::hypothesis(setup, &base.hypothesis.effects);
     hypothesis.residual = true;
     let mut start: Vec<f64> = base.theta().to_vec();
     let mut weight = 0;

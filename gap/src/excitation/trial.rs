@@ -169,9 +169,7 @@ impl Trial {
             sample.value = *value;
         }
         let segment = Segment { from: 0.0, to: self.duration + 1e-6, guess: shown.guess.clone() };
-        // Who follows is as smooth as in a search: an experiment is looked for in many trials.
-        let follower = Hypothesis { halvings: 0, ..other.hypothesis.clone() };
-        let simulator = library::simulator(&setup, &follower, Vec::new());
+        let simulator = library::simulator(&setup, &other.hypothesis, Vec::new());
         let pass = walk(&simulator, &[segment], &setup.noise, noise, other.theta());
         let innovations = DVector::from_vec(pass.whitened());
         let p = other.hypothesis.fitted.len();
