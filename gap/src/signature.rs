@@ -8,9 +8,13 @@ use crate::innovation::walk;
 use crate::library;
 use crate::search::Fit;
 use crate::setup::Setup;
+use crate::statistics::median;
 
 /// Cosine from which two signatures count as one.
 pub const SAME: f64 = 0.97;
+
+/// How many times the median a reading's sensitivity counts for at most where one effect is held against others.
+const USUAL: f64 = 10.0;
 
 /// Frequencies from which a spring inside a joint starts.
 const FREQUENCIES: usize = 3;
@@ -19,6 +23,8 @@ const FREQUENCIES: usize = 3;
 #[derive(Clone, Debug)]
 pub struct Nuisance {
     basis: DMatrix<f64>,
+    /// The columns that the basis spans.
+    free: DMatrix<f64>,
     /// Whitened innovations of the null fit, zero where the likelihood is not of them.
     pub innovations: DVector<f64>,
     /// 1 for each reading that the likelihood is of, 0 for those that only tell where the states began: their predicted
@@ -39,14 +45,16 @@ impl Nuisance {
         columns.column_iter_mut().for_each(|mut column| column.component_mul_assign(&counts));
         // A parameter that rests on its bound is not free to take an effect's place.
         let free: Vec<usize> = (0..p).filter(|j| !null.rests(*j)).collect();
-        Nuisance { basis: orthonormal(&columns.select_columns(&free)), innovations, counts }
+        let free = columns.select_columns(&free);
+        Nuisance { basis: orthonormal(&free), free, innovations, counts }
     }
 
     /// Innovations without nuisance directions.
     #[cfg(test)]
     pub(crate) fn plain(innovations: DVector<f64>) -> Self {
         let counts = DVector::from_element(innovations.len(), 1.0);
-        Nuisance { basis: DMatrix::zeros(innovations.len(), 0), innovations, counts }
+        let none = DMatrix::zeros(innovations.len(), 0);
+        Nuisance { basis: none.clone(), free: none, innovations, counts }
     }
 
     /// A signature with the nuisance directions projected out.
@@ -62,6 +70,33 @@ impl Nuisance {
         let mut seen = columns.clone();
         seen.column_iter_mut().for_each(|mut column| column.component_mul_assign(&self.counts));
         &seen - &self.basis * (self.basis.transpose() * &seen)
+    }
+
+    /// Whether the nuisance directions do what these columns do, up to this share of their length: of all readings, and also if none counts
+    /// for many times as much as most. Where a model runs away from a machine all its sensitivities become one.
+    #[must_use]
+    pub fn covers(&self, columns: &DMatrix<f64>, share: f64) -> bool {
+        if self.project_columns(columns).norm() >= share * columns.norm() {
+            return false;
+        }
+        let size: Vec<f64> =
+            columns.row_iter().zip(&self.counts).map(|(row, counts)| row.norm() * counts).collect();
+        let mut there: Vec<f64> = size.iter().copied().filter(|size| *size > 0.0).collect();
+        if there.is_empty() {
+            return true;
+        }
+        let most = USUAL * median(&mut there);
+        let weights: Vec<f64> =
+            size.iter().zip(&self.counts).map(|(size, counts)| counts / (size / most).max(1.0)).collect();
+        let weighted = |columns: &DMatrix<f64>| {
+            let weights = DVector::from_column_slice(&weights);
+            let mut columns = columns.clone();
+            columns.column_iter_mut().for_each(|mut column| column.component_mul_assign(&weights));
+            columns
+        };
+        let (basis, seen) = (orthonormal(&weighted(&self.free)), weighted(columns));
+        let left = &seen - &basis * (basis.transpose() * &seen);
+        left.norm() < share * seen.norm()
     }
 }
 

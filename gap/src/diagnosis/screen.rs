@@ -55,12 +55,11 @@ pub(super) fn screen(
     let (mut kept, mut kept_columns, mut absorbed) = (Vec::new(), Vec::new(), Vec::new());
     for effect in candidates {
         let columns = signature::columns(setup, null, &effect);
-        let own = nuisance.project_columns(&columns);
-        let (before, after) = (columns.norm(), own.norm());
+        let before = columns.norm();
         if before.is_nan() || before <= signature::TRACE {
             let reason = "it leaves no trace in these readings".to_owned();
             not_testable.push(library::NotTestable { effect, reason });
-        } else if after < ABSORBED * before {
+        } else if nuisance.covers(&columns, ABSORBED) {
             absorbed.push(Absorbed { effect: effect.label(), by: absorber(null, &columns) });
         } else {
             kept.push(effect);
