@@ -168,6 +168,9 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     let worse = |with: &Row| quantify::closed(&refitted, with, options.seed).high < 0.0;
     let (mut with_best, mut times_are_all) = (None, false);
     if detected && acted.is_none() && !answers.names() {
+        answers.weigh_sharp(setup, &null);
+    }
+    if detected && acted.is_none() && !answers.names() {
         claims::hold_unknown(&mut answers, &null, &row, &refitted, options.seed);
     }
     while detected && answers.names() {
@@ -178,7 +181,13 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
             with_best = Some(with);
             break;
         }
-        answers.refute(setup, &null);
+        // Friction that is smoothed around rest creeps where the machine stands.
+        if !answers.sharpen(setup, &null) {
+            answers.refute(setup, &null);
+        }
+    }
+    if acted.is_none() {
+        with_best = with_best.map(|with| answers.shorten(setup, &null, &row, with));
     }
     if let Some(with) = &with_best
         && acted.is_none()
@@ -217,8 +226,9 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     );
     // Where there is no gap, nothing asks to be told apart; an experiment is the dearest part of a report.
     let confusable = if detected { confusable(setup, &null, &answers, options.seed) } else { Vec::new() };
-    let sharp = detected && named && answers.sharpen(setup, &null);
-    if sharp {
+    let sharper = detected && named && answers.sharpen(setup, &null);
+    let sharp = answers.leader(&null).hypothesis.halvings > 0;
+    if sharper {
         with_best = Some(row(answers.leader(&null)));
         scattered = possible(readings::scatter(setup, answers.leader(&null)));
     }

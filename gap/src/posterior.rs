@@ -4,15 +4,14 @@ mod answer;
 mod classes;
 mod doubt;
 mod gathered;
+mod refined;
 
 use nalgebra::DVector;
 
 use crate::fit::TEMPERATURE;
-use crate::hypothesis::EffectAt;
 use crate::judge::{self, DECISIVE, EVEN, Judge, WORTH};
-use crate::library;
 use crate::options::Options;
-use crate::search::{self, Fit, INEXACT};
+use crate::search::{Fit, INEXACT};
 use crate::setup::Setup;
 use crate::signature::{self, Nuisance, SAME};
 use crate::stop::UNKNOWN;
@@ -85,43 +84,6 @@ impl Posterior {
         let Some(first) = self.answers.first().map(|a| a.probability) else { return };
         let named: f64 = self.answers.iter().map(|a| a.probability).sum();
         self.leave_to_unknown(1.0 - left.doubted(first, named, self.unexplained));
-    }
-
-    /// Has the leading answer's dry friction as sharp as the data say it is. Gives whether that is sharper than a search has it. What the
-    /// answers weigh stays as it was, where all of them were as smooth.
-    pub(crate) fn sharpen(&mut self, setup: &Setup, null: &Fit) -> bool {
-        let Some(leader) = self.answers.first_mut() else { return false };
-        let Some(sharper) = search::sharpened(setup, null, &leader.fit) else { return false };
-        leader.fit = sharper;
-        true
-    }
-
-    /// Puts a delay at the place of readings whose times scatter, where it is their mean, in the place of one of several effects of the
-    /// leading answer, where the evidence does not tell the two apart decisively: what is late on average looks late in more than one way.
-    /// Gives whether it did.
-    pub(crate) fn takes_for_mean(&mut self, setup: &Setup, null: &Fit, delay: &EffectAt) -> bool {
-        let Some(leader) = self.answers.first_mut() else { return false };
-        let effects = &leader.fit.hypothesis.effects;
-        if effects.len() < 2 || effects.contains(delay) {
-            return false;
-        }
-        let with = |k: usize| {
-            let mut effects = effects.clone();
-            effects[k] = delay.clone();
-            search::fit_part(setup, null, library::hypothesis(setup, &effects), &leader.fit)
-        };
-        let others: Vec<Fit> = (0..effects.len()).into_par_iter().map(with).collect();
-        let judge = &self.judge;
-        let best = others.into_iter().min_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
-        let late = |fit: &Fit| {
-            let at = fit.hypothesis.effects.iter().position(|at| at == delay);
-            at.is_some_and(|at| !fit.is_nothing(at))
-        };
-        let even = |fit: &Fit| judge.cost(fit) < judge.cost(&leader.fit) + DECISIVE;
-        let Some(best) = best.filter(|fit| late(fit) && even(fit)) else { return false };
-        leader.exchange(best);
-        self.residual_on_leader = None;
-        true
     }
 
     /// The fits of other answers that follow the windows no worse than the leading one.

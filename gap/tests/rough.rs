@@ -99,4 +99,7 @@ fn small_causes_elsewhere_are_named_where_what_is_left_is_random() {
     assert!((value(2, "force") - FRICTION[0]).abs() < 0.06, "{}", report.summary);
     assert!((value(1, "bias") - ZERO).abs() < 0.02, "{}", report.summary);
     assert!(report.how_far.closed_by_effect.value > 0.95, "{}", report.summary);
+    // What adds nothing to predictions of fresh motion is not named where nothing reaches the noise.
+    let split = &report.how_far.split;
+    assert!(split.len() == causes.len() && split.iter().all(|part| part.share > 0.0), "{split:?}");
 }

@@ -264,7 +264,8 @@ fn joint(setup: &Setup, index: usize, effect: Effect, quantity: Quantity, fitted
                 starts.push(4.0 / (to - from).max(1e-9));
             }
             fitted.null = starts[0];
-            flat(fitted, 1.0 / (to - from).max(1e-9), 0.5 / setup.period, starts);
+            // Less than two periods in the log is a trend.
+            flat(fitted, 2.0 / (to - from).max(1e-9), 0.5 / setup.period, starts);
             fitted.scale = 0.1 / (to - from).max(1e-9);
         }
         Q::Phase => {

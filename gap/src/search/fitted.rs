@@ -169,6 +169,19 @@ impl Fit {
         if self.by_windows { &self.shooting_std } else { &self.innovation_std }
     }
 
+    /// Widens the intervals by what the parameters differ by from those of the same hypothesis in coarser steps: where each halving of the
+    /// steps halves what they are off by, as much as that is left.
+    pub(super) fn widen_by_change(&mut self, coarser: &Fit) {
+        let widen = |std: &mut [f64], (theta, before): (&[f64], &[f64])| {
+            for (std, (value, before)) in std.iter_mut().zip(theta.iter().zip(before)) {
+                // What is reported is tempered, and this is no matter of evidence.
+                *std = std.hypot((value - before) / TEMPERATURE.sqrt());
+            }
+        };
+        widen(&mut self.shooting_std, (&self.shooting.theta, &coarser.shooting.theta));
+        widen(&mut self.innovation_std, (&self.innovation.minimum.theta, &coarser.innovation.minimum.theta));
+    }
+
     /// Has the estimate be that of the innovation likelihood where this one predicts the fitted stretches better from what its filter
     /// knew: windows choose their first states freely, and what is flexible may live by that.
     pub fn hold_to_predictions(&mut self, setup: &Setup) {

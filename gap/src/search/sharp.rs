@@ -24,10 +24,13 @@ pub(crate) fn sharpened(setup: &Setup, null: &Fit, fit: &Fit) -> Option<Fit> {
         if setup.stop.asked() {
             break;
         }
-        from = fit_part(setup, null, Hypothesis { halvings, ..from.hypothesis.clone() }, &from);
-        if cost(&from) < cost(best.as_ref().unwrap_or(fit)) && library::is_possible(setup, &from) {
-            best = Some(from.clone());
+        let finer = fit_part(setup, null, Hypothesis { halvings, ..from.hypothesis.clone() }, &from);
+        if cost(&finer) < cost(best.as_ref().unwrap_or(fit)) && library::is_possible(setup, &finer) {
+            let mut better = finer.clone();
+            better.widen_by_change(&from);
+            best = Some(better);
         }
+        from = finer;
     }
     if let Some(best) = &mut best {
         best.hold_to_predictions(setup);

@@ -1,0 +1,114 @@
+//! Leading answers, fitted again: as sharp as their friction is, with the mean of times that scatter, and without what predicts nothing.
+
+use rayon::prelude::*;
+
+use super::{Answer, HELD, Posterior};
+use crate::fit::TEMPERATURE;
+use crate::hypothesis::EffectAt;
+use crate::judge::DECISIVE;
+use crate::library;
+use crate::quantify::Row;
+use crate::search::{self, Fit, INEXACT};
+use crate::setup::Setup;
+
+impl Posterior {
+    /// Has the leading answer's dry friction as sharp as the data say it is. Gives whether that is sharper than it was. What the
+    /// answers weigh stays as it was, where all of them were as smooth.
+    pub(crate) fn sharpen(&mut self, setup: &Setup, null: &Fit) -> bool {
+        let Some(leader) = self.answers.first_mut() else { return false };
+        let Some(sharper) = search::sharpened(setup, null, &leader.fit) else { return false };
+        leader.fit = sharper;
+        true
+    }
+
+    /// Has the dry friction of the answers that may be named as sharp as the data say it is, and weighs them so: an unknown cause, which
+    /// is not smoothed, outweighs what creeps where the machine stands.
+    pub(crate) fn weigh_sharp(&mut self, setup: &Setup, null: &Fit) {
+        let judge = &self.judge;
+        self.answers.par_iter_mut().take(HELD).for_each(|answer| {
+            let Some(sharper) = search::sharpened(setup, null, &answer.fit) else { return };
+            let gain = 0.5 * (judge.cost(&answer.fit) - judge.cost(&sharper)) / TEMPERATURE;
+            answer.fit = sharper;
+            // The first of a class leads it by its form, and speaks for all of it.
+            let most = answer.logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+            answer.logs[0] = most + gain.max(0.0);
+        });
+        self.settle_on_best(null);
+    }
+
+    /// Puts a delay at the place of readings whose times scatter, where it is their mean, in the place of one of several effects of the
+    /// leading answer, where the evidence does not tell the two apart decisively: what is late on average looks late in more than one way.
+    /// Gives whether it did.
+    pub(crate) fn takes_for_mean(&mut self, setup: &Setup, null: &Fit, delay: &EffectAt) -> bool {
+        let Some(leader) = self.answers.first_mut() else { return false };
+        let effects = &leader.fit.hypothesis.effects;
+        if effects.len() < 2 || effects.contains(delay) {
+            return false;
+        }
+        let with = |k: usize| {
+            let mut effects = effects.clone();
+            effects[k] = delay.clone();
+            search::fit_part(setup, null, library::hypothesis(setup, &effects), &leader.fit)
+        };
+        let others: Vec<Fit> = (0..effects.len()).into_par_iter().map(with).collect();
+        let judge = &self.judge;
+        let best = others.into_iter().min_by(|a, b| judge.cost(a).total_cmp(&judge.cost(b)));
+        let late = |fit: &Fit| {
+            let at = fit.hypothesis.effects.iter().position(|at| at == delay);
+            at.is_some_and(|at| !fit.is_nothing(at))
+        };
+        let even = |fit: &Fit| judge.cost(fit) < judge.cost(&leader.fit) + DECISIVE;
+        let Some(best) = best.filter(|fit| late(fit) && even(fit)) else { return false };
+        leader.exchange(best);
+        self.residual_on_leader = None;
+        true
+    }
+
+    /// Leaves out of several effects of the leading answer those without which fresh motion is predicted no worse, where nothing reaches
+    /// the noise: there whatever is flexible explains more of the time that it is fitted to. `row` predicts held-out time, `with` is what
+    /// the leading answer predicts of it; gives what the answer then does.
+    pub(crate) fn shorten(
+        &mut self,
+        setup: &Setup,
+        null: &Fit,
+        row: &(dyn Fn(&Fit) -> Row + Sync),
+        mut with: Row,
+    ) -> Row {
+        while let Some(leader) = self.answers.first() {
+            let (fit, effects) = (&leader.fit, &leader.fit.hypothesis.effects);
+            if fit.shooting_error <= INEXACT || effects.len() < 2 || setup.stop.asked() {
+                break;
+            }
+            let without = |k: usize| {
+                let mut effects = effects.clone();
+                effects.remove(k);
+                let mut part = search::fit_part(setup, null, library::hypothesis(setup, &effects), fit);
+                part.hold_to_predictions(setup);
+                let row = row(&part);
+                (part, row)
+            };
+            let parts: Vec<(Fit, Row)> = (0..effects.len()).into_par_iter().map(without).collect();
+            let best = parts.into_iter().min_by(|a, b| a.1.mean_square().total_cmp(&b.1.mean_square()));
+            let Some((part, row)) = best.filter(|(_, row)| row.mean_square() <= with.mean_square()) else {
+                break;
+            };
+            with = row;
+            self.lead_with(part);
+        }
+        with
+    }
+
+    /// Puts a fit in the place of the leading answer's, and takes back what was known of it as another one.
+    fn lead_with(&mut self, fit: Fit) {
+        let is_it = |answer: &Answer| answer.fit.hypothesis.effects == fit.hypothesis.effects;
+        let known: f64 =
+            self.answers.iter().filter(|answer| is_it(answer)).map(|answer| answer.probability).sum();
+        self.answers.retain(|answer| !is_it(answer));
+        if let Some(leader) = self.answers.first_mut() {
+            leader.exchange(fit);
+            leader.probability += known;
+            leader.members.iter_mut().for_each(|(_, probability, _)| *probability += known);
+        }
+        self.residual_on_leader = None;
+    }
+}
