@@ -209,3 +209,22 @@ pub fn cosine(a: &DVector<f64>, b: &DVector<f64>) -> f64 {
     let lengths = a.norm() * b.norm();
     if lengths > 0.0 && lengths.is_finite() { (a.dot(b) / lengths).abs() } else { 0.0 }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_alike_only_where_a_model_runs_away_is_not_covered() {
+        let column = |elsewhere: fn(f64) -> f64| {
+            DMatrix::from_fn(200, 1, |k, _| if k < 5 { 1e6 } else { elsewhere(k as f64) })
+        };
+        let (free, other) = (column(|k| (0.1 * k).sin()), column(|k| (0.37 * k).cos()));
+        let counts = DVector::from_element(200, 1.0);
+        let nuisance =
+            Nuisance { basis: orthonormal(&free), free: free.clone(), innovations: 0.0 * &counts, counts };
+        assert!(nuisance.project_columns(&other).norm() < 1e-3 * other.norm());
+        assert!(!nuisance.covers(&other, 0.03));
+        assert!(nuisance.covers(&(-2.0 * free), 0.03));
+    }
+}
