@@ -169,8 +169,6 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     let (mut with_best, mut times_are_all) = (None, false);
     if detected && acted.is_none() && !answers.names() {
         answers.weigh_sharp(setup, &null);
-    }
-    if detected && acted.is_none() && !answers.names() {
         claims::hold_unknown(&mut answers, &null, &row, &refitted, options.seed);
     }
     while detected && answers.names() {
@@ -227,7 +225,7 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     // Where there is no gap, nothing asks to be told apart; an experiment is the dearest part of a report.
     let confusable = if detected { confusable(setup, &null, &answers, options.seed) } else { Vec::new() };
     let sharper = detected && named && answers.sharpen(setup, &null);
-    let sharp = answers.leader(&null).hypothesis.halvings > 0;
+    let sharp = detected && named && answers.leader(&null).hypothesis.halvings > 0;
     if sharper {
         with_best = Some(row(answers.leader(&null)));
         scattered = possible(readings::scatter(setup, answers.leader(&null)));

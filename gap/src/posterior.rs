@@ -334,9 +334,6 @@ pub fn weigh(
     let together = together.filter(|t| fits.first().is_some_and(|best| judge.cost(t) < judge.cost(best)));
     let signatures: Vec<DVector<f64>> =
         fits.par_iter().map(|f| nuisance.project(&signature::of_fit(setup, null, f))).collect();
-    let gap = null.shooting_error;
-    let floor = 1.0;
-    let share = |f: &Fit| ((gap - f.shooting_error) / (gap - floor).max(1e-9)).clamp(0.0, 1.0);
     let beyond: Vec<usize> = (0..fits.len()).filter(|&k| beyond_its_range(setup, &fits[k])).collect();
     // By itself, or as an effect that does the same to every reading, as a gain does in place of a motor's constant.
     let contradicts = |k: usize| {
@@ -370,7 +367,8 @@ pub fn weigh(
             taken[k] = true;
         }
         lead_with_the_simplest(&mut class, &fits, &judge, &contradicts);
-        let members = class.iter().map(|&k| (fits[k].hypothesis.effects.clone(), 0.0, share(&fits[k])));
+        let members =
+            class.iter().map(|&k| (fits[k].hypothesis.effects.clone(), 0.0, answer::closed(null, &fits[k])));
         answers.push(Answer {
             fit: fits[class[0]].clone(),
             alike: class[1..].iter().map(|&k| fits[k].clone()).collect(),

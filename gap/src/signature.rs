@@ -40,9 +40,9 @@ impl Nuisance {
         let innovations = DVector::from_vec(null.innovation.pass.whitened()).component_mul(&counts);
         let p = null.hypothesis.fitted.len();
         let rows = null.innovation.pass.readings();
-        let mut columns =
+        let columns =
             DMatrix::from_row_slice(rows, p, &null.innovation.pass.whitened_by_parameter()[..rows * p]);
-        columns.column_iter_mut().for_each(|mut column| column.component_mul_assign(&counts));
+        let columns = weighted(&columns, &counts);
         // A parameter that rests on its bound is not free to take an effect's place.
         let free: Vec<usize> = (0..p).filter(|j| !null.rests(*j)).collect();
         let free = columns.select_columns(&free);
@@ -67,9 +67,7 @@ impl Nuisance {
     /// Columns with the nuisance directions projected out.
     #[must_use]
     pub fn project_columns(&self, columns: &DMatrix<f64>) -> DMatrix<f64> {
-        let mut seen = columns.clone();
-        seen.column_iter_mut().for_each(|mut column| column.component_mul_assign(&self.counts));
-        &seen - &self.basis * (self.basis.transpose() * &seen)
+        beside(&self.basis, &weighted(columns, &self.counts))
     }
 
     /// Whether the nuisance directions do what these columns do, up to this share of their length: of all readings, and also if none counts
@@ -79,25 +77,30 @@ impl Nuisance {
         if self.project_columns(columns).norm() >= share * columns.norm() {
             return false;
         }
-        let size: Vec<f64> =
-            columns.row_iter().zip(&self.counts).map(|(row, counts)| row.norm() * counts).collect();
+        let seen = weighted(columns, &self.counts);
+        let size: Vec<f64> = seen.row_iter().map(|row| row.norm()).collect();
         let mut there: Vec<f64> = size.iter().copied().filter(|size| *size > 0.0).collect();
         if there.is_empty() {
             return true;
         }
         let most = USUAL * median(&mut there);
-        let weights: Vec<f64> =
-            size.iter().zip(&self.counts).map(|(size, counts)| counts / (size / most).max(1.0)).collect();
-        let weighted = |columns: &DMatrix<f64>| {
-            let weights = DVector::from_column_slice(&weights);
-            let mut columns = columns.clone();
-            columns.column_iter_mut().for_each(|mut column| column.component_mul_assign(&weights));
-            columns
-        };
-        let (basis, seen) = (orthonormal(&weighted(&self.free)), weighted(columns));
-        let left = &seen - &basis * (basis.transpose() * &seen);
-        left.norm() < share * seen.norm()
+        let weights =
+            DVector::from_iterator(size.len(), size.iter().map(|size| 1.0 / (size / most).max(1.0)));
+        let (free, seen) = (weighted(&self.free, &weights), weighted(&seen, &weights));
+        beside(&orthonormal(&free), &seen).norm() < share * seen.norm()
     }
+}
+
+/// Columns with a weight for each reading.
+fn weighted(columns: &DMatrix<f64>, weights: &DVector<f64>) -> DMatrix<f64> {
+    let mut columns = columns.clone();
+    columns.column_iter_mut().for_each(|mut column| column.component_mul_assign(weights));
+    columns
+}
+
+/// What columns have beside an orthonormal basis.
+fn beside(basis: &DMatrix<f64>, columns: &DMatrix<f64>) -> DMatrix<f64> {
+    columns - basis * (basis.transpose() * columns)
 }
 
 /// An orthonormal basis of the columns' span; columns that add less than a millionth of their length are left out.

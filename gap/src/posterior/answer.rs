@@ -22,12 +22,17 @@ pub struct Answer {
 
 impl Answer {
     /// Puts another fit in its place, of the same weight, which is all of its class.
-    pub(super) fn exchange(&mut self, fit: Fit) {
-        let closed = self.members.first().map_or(0.0, |(.., closed)| *closed);
-        self.members = vec![(fit.hypothesis.effects.clone(), self.probability, closed)];
+    pub(super) fn exchange(&mut self, null: &Fit, fit: Fit) {
+        self.members = vec![(fit.hypothesis.effects.clone(), self.probability, closed(null, &fit))];
         let most = self.logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         self.logs = vec![most + self.logs.iter().map(|log| (log - most).exp()).sum::<f64>().ln()];
         self.class = vec![fit.hypothesis.label()];
         (self.fit, self.alike) = (fit, Vec::new());
     }
+}
+
+/// Share of the training gap that a fit closes.
+pub(super) fn closed(null: &Fit, fit: &Fit) -> f64 {
+    let (gap, floor) = (null.shooting_error, 1.0);
+    ((gap - fit.shooting_error) / (gap - floor).max(1e-9)).clamp(0.0, 1.0)
 }

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::{Answer, HELD, Posterior};
+use super::{Answer, HELD, Posterior, residual_on};
 use crate::fit::TEMPERATURE;
 use crate::hypothesis::EffectAt;
 use crate::judge::DECISIVE;
@@ -59,7 +59,7 @@ impl Posterior {
         };
         let even = |fit: &Fit| judge.cost(fit) < judge.cost(&leader.fit) + DECISIVE;
         let Some(best) = best.filter(|fit| late(fit) && even(fit)) else { return false };
-        leader.exchange(best);
+        leader.exchange(null, best);
         self.residual_on_leader = None;
         true
     }
@@ -74,6 +74,7 @@ impl Posterior {
         row: &(dyn Fn(&Fit) -> Row + Sync),
         mut with: Row,
     ) -> Row {
+        let mut shorter = false;
         while let Some(leader) = self.answers.first() {
             let (fit, effects) = (&leader.fit, &leader.fit.hypothesis.effects);
             if fit.shooting_error <= INEXACT || effects.len() < 2 || setup.stop.asked() {
@@ -93,22 +94,28 @@ impl Posterior {
                 break;
             };
             with = row;
-            self.lead_with(part);
+            self.lead_with(null, part);
+            shorter = true;
+        }
+        // What a residual explains beside what is left is another matter than what it did beside all of them.
+        if let Some(leader) = self.answers.first().filter(|_| shorter) {
+            let residual = residual_on(setup, null, &leader.fit, &self.judge, &|| ());
+            self.residual_on_leader =
+                residual.filter(|fit| self.judge.cost(fit) < self.judge.cost(&leader.fit));
         }
         with
     }
 
     /// Puts a fit in the place of the leading answer's, and takes back what was known of it as another one.
-    fn lead_with(&mut self, fit: Fit) {
+    fn lead_with(&mut self, null: &Fit, fit: Fit) {
         let is_it = |answer: &Answer| answer.fit.hypothesis.effects == fit.hypothesis.effects;
         let known: f64 =
             self.answers.iter().filter(|answer| is_it(answer)).map(|answer| answer.probability).sum();
         self.answers.retain(|answer| !is_it(answer));
         if let Some(leader) = self.answers.first_mut() {
-            leader.exchange(fit);
+            leader.exchange(null, fit);
             leader.probability += known;
             leader.members.iter_mut().for_each(|(_, probability, _)| *probability += known);
         }
-        self.residual_on_leader = None;
     }
 }
