@@ -10,7 +10,7 @@ mod table;
 use std::sync::{Arc, OnceLock};
 
 use parallax_model::Dual;
-use parallax_model::effect::PlaceKind;
+use parallax_model::effect::{Effect, PlaceKind};
 use parallax_model::lanes::F64x16;
 use parallax_model::plant::Plant;
 use parallax_model::program::Program;
@@ -213,6 +213,19 @@ impl Simulator for EquationsSimulator<'_> {
         let parameters = self.plant.equations().nominal();
         let point = Point { parameters: &parameters, states: &state[..n], inputs: &inputs, time };
         (self.plant.start(&point), std[..n].iter().chain(&self.extra_std).copied().collect())
+    }
+
+    fn scale(&self, theta: &[f64], output: usize) -> f64 {
+        let fitted = |(slot, value): (&Slot, &f64)| match slot {
+            Slot::Effect { effect, .. } => {
+                let bound = &self.plant.effects()[*effect];
+                let is_it =
+                    (bound.effect, bound.kind, bound.index) == (Effect::Scale, PlaceKind::Output, output);
+                is_it.then_some(*value)
+            }
+            _ => None,
+        };
+        self.slots.iter().zip(theta).filter_map(fitted).product()
     }
 
     fn run<'a>(&'a self, theta: &[f64]) -> Box<dyn Run + 'a> {

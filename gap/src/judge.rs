@@ -38,6 +38,9 @@ const FORM: f64 = 0.1;
 /// Share of what a combination leaves, up to which another effect may leave it where nothing reaches the noise.
 const HALF: f64 = 0.5;
 
+/// Variance ratio of the null model's innovations up to which they leave nothing that a filter is misled by.
+const WHITE: f64 = 2.0;
+
 /// Variance ratio of innovations up to which they are as good as random, and up to which they may be with yet another effect.
 const RANDOM: f64 = 5.0;
 const NEARLY_RANDOM: f64 = 10.0;
@@ -67,7 +70,9 @@ pub fn share_of_form(explained: f64, gap: f64) -> f64 {
 /// The judge of all hypotheses on one log.
 ///
 /// Where some hypothesis reaches the sensors' noise, both losses are likelihoods of the data, and their mean decides:
-/// the two fail in different cases. Where none does, as on any real machine, the innovations are ruled by what every
+/// the two fail in different cases. Where the null model does already, and its innovations are random, the filter is of
+/// nearly the right model whatever is true, and the innovations alone decide: windows choose their first states freely, and
+/// hardly show what is small and slow. Where none does, as on any real machine, the innovations are ruled by what every
 /// hypothesis lacks; the short windows judge what a simulator is for. Either way the windows' readings count for as
 /// many as their correlation leaves.
 #[derive(Clone, Copy, Debug)]
@@ -76,6 +81,8 @@ pub struct Judge {
     exact: bool,
     /// How many independent innovations one is worth, at most 1.
     innovations: f64,
+    /// Share of the innovations in the cost where some hypothesis reaches the noise; the rest is the windows'.
+    share: f64,
     /// The null model's mean squared residual beyond the noise, in noise units squared.
     gap: f64,
     /// The number of states of the nominal model.
@@ -110,7 +117,9 @@ impl Judge {
         let gap = (null.shooting_error - 1.0).max(0.0);
         let likeliest = all().chain([null]).min_by(by_innovations).unwrap_or(null);
         let innovations = 1.0 / likeliest.variance_ratio.max(1.0);
-        Judge { independence: best.independence, exact, innovations, gap, states, plain, bounded }
+        let small = null.shooting_error <= INEXACT && null.variance_ratio <= WHITE;
+        let share = if small { 1.0 } else { 0.5 };
+        Judge { independence: best.independence, exact, innovations, share, gap, states, plain, bounded }
     }
 
     /// Whether `fit`, which has more effects than `base`, is worth them.
@@ -288,7 +297,7 @@ impl Judge {
             windows = if bounded { windows.max(carried) } else { carried };
         }
         let windows = self.independence * windows;
-        if self.exact { 0.5 * (innovations + windows) } else { windows }
+        if self.exact { self.share * innovations + (1.0 - self.share) * windows } else { windows }
     }
 }
 

@@ -118,6 +118,9 @@ pub struct Walked {
     windows: Vec<usize>,
 }
 
+/// Scale of a reading from which it tells the states no less.
+const LEAST_SCALE: f64 = 1e-6;
+
 /// Columns up to which a walk is kept: beyond that it takes more memory than it saves time.
 const KEPT_COLUMNS: usize = 64;
 
@@ -162,7 +165,7 @@ pub fn shoot(
             flow::set(&mut *plain, group, n, outputs);
         }
     }
-    let mut normal = Normal::new(n, p, outputs);
+    let mut normal = Normal::new(n, p, outputs).with_scales(simulator, theta);
     for group in found.chunks_mut(LANES) {
         let initial: Vec<Vec<f64>> = group.iter().map(|g| g.0.state.clone()).collect();
         normal.march(&mut *run, group, &initial, variance, Some(&mut residuals));
@@ -181,6 +184,7 @@ pub fn shoot(
 pub fn reweigh(
     walked: &Walked,
     simulator: &dyn Simulator,
+    theta: &[f64],
     windows: &mut [Window],
     variance: &[f64],
     residuals: &mut Residuals,
@@ -192,7 +196,7 @@ pub fn reweigh(
     let mut total = Local { cost: 0.0, information: vec![0.0; p * p], gradient: vec![0.0; p] };
     residuals.scores.clear();
     residuals.volume = 0.0;
-    let mut normal = Normal::new(n, p, 0);
+    let mut normal = Normal::new(n, p, variance.len()).with_scales(simulator, theta);
     for (sums, group) in walked.groups.iter().zip(walked.windows.chunks(LANES)) {
         normal.weigh(sums, variance);
         for (lane, window) in group.iter().enumerate() {
@@ -222,6 +226,10 @@ struct Normal {
     gradient: Vec<F64x16>,
     /// The same without weights, output by output.
     sums: Vec<Sums>,
+    /// By how much each output's reading is what its sensor would read, where one is not 1, and the states' JᵀJ as these sensors would
+    /// tell them.
+    scales: Vec<f64>,
+    unscaled: Vec<F64x16>,
     motion: Motion,
     row: Gradient,
 }
@@ -236,9 +244,24 @@ impl Normal {
             information: vec![zero; columns * (columns + 1) / 2],
             gradient: vec![zero; columns],
             sums: vec![Sums::new(columns); outputs],
+            scales: Vec::new(),
+            unscaled: Vec::new(),
             motion: Motion::new(n, n, p),
             row: Gradient::default(),
         }
+    }
+
+    /// States are told in the units of sensors: one that reads a tenth tells no less, and what integrating states out costs must not make
+    /// it likelier.
+    fn with_scales(mut self, simulator: &dyn Simulator, theta: &[f64]) -> Self {
+        let scales: Vec<f64> = (0..self.sums.len())
+            .map(|output| simulator.scale(theta, output).abs().max(LEAST_SCALE))
+            .collect();
+        if scales.iter().any(|scale| *scale != 1.0) {
+            self.unscaled = vec![F64x16::splat(0.0); self.n * (self.n + 1) / 2];
+            self.scales = scales;
+        }
+        self
     }
 
     /// Walks the windows from the given initial states.
@@ -310,6 +333,11 @@ impl Normal {
             add(&mut self.information, &sums.information);
             add(&mut self.gradient, &sums.gradient);
         }
+        self.unscaled.fill(zero);
+        for ((sums, variance), scale) in sums.iter().zip(variance).zip(&self.scales) {
+            let (to, from) = (&mut self.unscaled[..], &sums.information[..self.n * (self.n + 1) / 2]);
+            Level::widest().run(AddScaled { to, from, weight: 1.0 / (variance * scale * scale) });
+        }
     }
 
     /// Adds a window to the total, its state eliminated.
@@ -345,6 +373,23 @@ impl Normal {
         (factor(a, n), g)
     }
 
+    /// ln det of the initial state's curvature, the prior included, in units of that.
+    fn volume(&self, lane: usize, window: &Window, factored: &[f64]) -> f64 {
+        let n = self.n;
+        let of = |l: &[f64]| (0..n).map(|i| 2.0 * (l[i * n + i] * window.std[i]).ln()).sum();
+        if self.unscaled.is_empty() {
+            return of(factored);
+        }
+        let mut a = vec![0.0; n * n];
+        for i in 0..n {
+            for j in 0..=i {
+                a[i * n + j] = self.unscaled[i * (i + 1) / 2 + j][lane];
+            }
+            a[i * n + i] += window.std[i].powi(-2);
+        }
+        factor(a, n).map_or_else(|| of(factored), |l| of(&l))
+    }
+
     /// Takes over one lane of another walk.
     fn take(&mut self, other: &Normal, lane: usize) {
         self.squares[lane] = other.squares[lane];
@@ -372,7 +417,7 @@ impl Normal {
         let mut y = vec![0.0; n * p];
         let mut volume = 0.0;
         if let Some(l) = &factor {
-            volume = (0..n).map(|i| 2.0 * (l[i * n + i] * window.std[i]).ln()).sum();
+            volume = self.volume(lane, window, l);
             let mut z = g;
             forward(l, n, &mut z);
             for j in 0..p {

@@ -40,6 +40,11 @@ pub trait Simulator: Sync {
         let _ = time;
         (state.to_vec(), std.to_vec())
     }
+    /// By how much an output's reading is what its sensor would read, at the parameters θ: the scale that the hypothesis fits there.
+    fn scale(&self, theta: &[f64], output: usize) -> f64 {
+        let _ = (theta, output);
+        1.0
+    }
     /// Prepares a walk at the parameters θ.
     fn run<'a>(&'a self, theta: &[f64]) -> Box<dyn Run + 'a>;
     /// Prepares a walk at the parameters θ that gives derivatives by the state alone: its `by_parameter` are empty.

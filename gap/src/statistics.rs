@@ -20,13 +20,6 @@ pub fn quantile(values: &mut [f64], q: f64) -> f64 {
     *value
 }
 
-/// The rank of a value among sorted ones; equal values share theirs.
-pub fn rank_among(sorted: &[f64], value: f64) -> f64 {
-    let below = sorted.partition_point(|v| *v < value);
-    let up_to = sorted.partition_point(|v| *v <= value);
-    0.5 * (below + up_to) as f64
-}
-
 /// Root mean square; 0 for none.
 #[must_use]
 pub fn root_mean_square(values: &[f64]) -> f64 {

@@ -244,7 +244,7 @@ impl WindowsLoss<'_> {
             if self.refit_noise() {
                 let (simulator, variance) = (self.simulator, &self.variance);
                 let windows = &mut self.windows;
-                local = reweigh(&trial.walked, simulator, windows, variance, &mut self.residuals)
+                local = reweigh(&trial.walked, simulator, theta, windows, variance, &mut self.residuals)
                     .unwrap_or_else(|| {
                         let (local, residuals, _) = shoot(simulator, theta, windows, variance, States::Kept);
                         self.residuals = residuals;

@@ -112,18 +112,20 @@ pub(crate) fn acted(
             let mut acted = under(setup, base, input, &place).filter(|acted| {
                 // What is less than a leading effect's form may be off by is its form; where that leaves nothing, a few lost
                 // commands may still be told, times that scatter a little are of how commands are held between their stamps. A
-                // machine that sticks forgets what it was told whatever became of it: beside dry friction they must show
-                // as well as an effect does. A delay of the same commands is the mean of their times, whatever they go with,
-                // and no form of them.
-                let sticks = base.hypothesis.effects.iter().any(|at| at.effect.is_dry());
-                let shows = base.innovation.evidence_cost - acted.cost > EXPLAINED;
-                let exact = base.shooting_error < AT_FLOOR && effect == Effect::Drops && (shows || !sticks);
+                // machine that sticks, or is stopped, forgets what it was told whatever became of it, and a form of that which
+                // leaves anything does so in such moments: there lost commands must show as well as an effect does. A delay of
+                // the same commands is the mean of their times, whatever they go with, and no form of them.
+                let forgets = base.hypothesis.effects.iter().any(|at| forgets(at.effect));
+                let shows = !forgets || base.innovation.evidence_cost - acted.cost > EXPLAINED;
+                let at_floor = base.shooting_error < AT_FLOOR;
                 let is_mean = effect != Effect::Drops && is_only(base, &mean);
+                let material = judge.is_material_from(base.shooting_error, acted.error)
+                    && (effect != Effect::Drops || shows || at_floor);
                 let form = base.shooting_error <= INEXACT
-                    && !exact
+                    && !(at_floor && effect == Effect::Drops && shows)
                     && !is_mean
                     && !base.hypothesis.effects.is_empty()
-                    && !judge.is_material_from(base.shooting_error, acted.error);
+                    && !material;
                 let margin = if base.shooting_error <= INEXACT { DECISIVE.0 } else { DECISIVE.1 };
                 acted.cost < best - margin && !form
             })?;
@@ -147,6 +149,11 @@ pub(crate) fn acted(
     let ruled = |acted: &Acted| !acted.by_chance && best - acted.cost > MOST * gain;
     // Of equals the first.
     found.into_iter().min_by(|a, b| ruled(b).cmp(&ruled(a)).then(a.cost.total_cmp(&b.cost)))
+}
+
+/// Whether an effect has the machine forget what it was told: it stands, whatever became of a command.
+fn forgets(effect: Effect) -> bool {
+    effect.is_dry() || matches!(effect, Effect::EndStop | Effect::EndStopLower | Effect::EndStopBoth)
 }
 
 /// What the data do not tell from the leading answer.

@@ -242,6 +242,11 @@ impl Kicks {
         self.along.iter().zip(shares).map(|(along, share)| along * share).collect()
     }
 
+    /// By how much each response shows: the sum of its squares.
+    pub(super) fn energies(&self) -> impl Iterator<Item = f64> + '_ {
+        self.gram.iter().map(|row| row[0])
+    }
+
     /// The commands, by their index.
     pub(super) fn commands(&self) -> Vec<usize> {
         self.kicks.iter().map(|kick| kick.command).collect()

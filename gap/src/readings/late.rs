@@ -34,6 +34,9 @@ const WORTH_A_LOOK: f64 = 2.0;
 /// Share of what times explain together that the most telling of them do.
 const MOST: f64 = 0.5;
 
+/// Standard deviation of a spread, as a share of it, up to which it is one.
+const SURE: f64 = 0.5;
+
 /// Steps in which another process noise is tried, as logarithms of variances, and how many at most.
 const STEP: f64 = 1.0;
 const STEPS: usize = 8;
@@ -169,10 +172,18 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
     }
     let (cost, error, clean, last) = best?;
     let told = -0.5 * (cost - base.innovation.evidence_cost);
-    let stamps = |commands: &[usize]| commands.iter().map(|k| recorded.times[*k]).collect::<Vec<f64>>();
-    let (telling, all) = (stamps(&last.telling()), stamps(&last.commands));
+    // Times are told where a command changes much.
+    let telling: Vec<f64> = last.telling().iter().map(|k| recorded.times[*k]).collect();
+    let all = last.commands.iter().map(|k| recorded.times[*k]).zip(last.all.energies());
     let once = last.is_of_once(recorded, setup.experiment.span());
-    if told < TOLD || once || !last.is_of_changes(most) || come_at_rest(setup, base, &telling, &all) {
+    // A spread that is not told from none is of times that are their mean.
+    let scatters = last.late.std < SURE * last.late.spread;
+    if told < TOLD
+        || !scatters
+        || once
+        || !last.is_of_changes(most)
+        || come_at_rest(setup, base, &telling, all)
+    {
         return None;
     }
     let mut acted = clean.experiment.inputs[input].clone();

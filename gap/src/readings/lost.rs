@@ -96,7 +96,10 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
     let (of, losses) = (believed.changes().len(), believed.stamps());
     let accident = losses.len() < FEWEST && (losses.len() as f64) < RAREST * of as f64;
     let told = -0.5 * (cost - base.innovation.evidence_cost);
-    if accident || told < TOLD || come_at_rest(setup, base, &losses, &believed.changes()) {
+    if accident
+        || told < TOLD
+        || come_at_rest(setup, base, &losses, believed.changes().into_iter().map(|at| (at, 1.0)))
+    {
         return None;
     }
     // Of those that hardly change anything nobody knows: they are lost as often as the others.
