@@ -1,10 +1,12 @@
 //! Derivatives, the order of events and what a reading sees: what the fits rely on.
 
+use crate::rotor;
 use crate::support::{Hidden, SYSTEM, record};
 use parallax_gap::diagnosis::{Options, diagnose_experiment};
 use parallax_gap::equations::EquationsSimulator;
 use parallax_gap::experiment::{Experiment, Held, Sample};
 use parallax_gap::hypothesis::Slot;
+use parallax_gap::shooting::{States, Window, shoot};
 use parallax_gap::simulator::{Prediction, Run, Simulator, Transition, wrapped};
 use parallax_model::effect::{Effect, PlaceKind};
 use parallax_model::plant::Plant;
@@ -201,5 +203,23 @@ y = { value = "y" }
             assert!((numeric - row[2]).abs() < 1e-4, "{effect:?} of {input}: {numeric} against {}", row[2]);
         }
         assert!(largest > 0.05, "{effect:?} of {input} leaves a trace");
+    }
+}
+
+/// What integrating a window's first state out costs is of what its sensors tell, and not of the units that they tell it in: otherwise
+/// one that reads a tenth of what it should would be the likelier for every window.
+#[test]
+fn a_scale_does_not_change_what_windows_cost() {
+    let experiment = rotor::experiment();
+    let simulator =
+        rotor::simulator(rotor::equations(), &[(Effect::Scale, PlaceKind::Output, 0)], &experiment);
+    let volume = |scale: f64| {
+        let mut windows = vec![Window::new(0.1, 0.3, vec![0.1, 0.4, 0.2], vec![1.0; 3])];
+        shoot(&simulator, &[scale], &mut windows, &[1e-6, 1e-4], States::Kept).1.volume
+    };
+    let plain = volume(1.0);
+    assert!(plain > 1.0);
+    for scale in [0.95, 0.1, -0.2, -1.0, 3.0] {
+        assert!((volume(scale) - plain).abs() < 1e-9, "{scale}: {} for {plain}", volume(scale));
     }
 }

@@ -32,6 +32,7 @@ mod recordings;
 mod reference;
 mod rough;
 mod servo;
+mod small;
 mod stages;
 mod tanks;
 mod timing;

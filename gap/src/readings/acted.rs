@@ -117,15 +117,14 @@ pub(crate) fn acted(
                 // the same commands is the mean of their times, whatever they go with, and no form of them.
                 let forgets = base.hypothesis.effects.iter().any(|at| forgets(at.effect));
                 let shows = !forgets || base.innovation.evidence_cost - acted.cost > EXPLAINED;
-                let at_floor = base.shooting_error < AT_FLOOR;
-                let is_mean = effect != Effect::Drops && is_only(base, &mean);
-                let material = judge.is_material_from(base.shooting_error, acted.error)
-                    && (effect != Effect::Drops || shows || at_floor);
+                let (lost, at_floor) = (effect == Effect::Drops, base.shooting_error < AT_FLOOR);
+                let is_mean = !lost && is_only(base, &mean);
+                let material =
+                    judge.is_material_from(base.shooting_error, acted.error) && (!lost || shows || at_floor);
+                let told = lost && shows && at_floor;
                 let form = base.shooting_error <= INEXACT
-                    && !(at_floor && effect == Effect::Drops && shows)
-                    && !is_mean
                     && !base.hypothesis.effects.is_empty()
-                    && !material;
+                    && !(is_mean || material || told);
                 let margin = if base.shooting_error <= INEXACT { DECISIVE.0 } else { DECISIVE.1 };
                 acted.cost < best - margin && !form
             })?;
