@@ -18,7 +18,20 @@ impl Posterior {
         let Some(leader) = self.answers.first_mut() else { return false };
         let Some(sharper) = search::sharpened(setup, null, &leader.fit) else { return false };
         leader.fit = sharper;
+        self.leave_out_nothing(setup, null);
         true
+    }
+
+    /// Leaves out of several effects of the leading answer those that ended where they change nothing: what a smooth friction lacked.
+    fn leave_out_nothing(&mut self, setup: &Setup, null: &Fit) {
+        while let Some(fit) = self.answers.first().map(|leader| &leader.fit) {
+            let mut effects = fit.hypothesis.effects.clone();
+            let several = effects.len() > 1;
+            let Some(nothing) = (0..effects.len()).find(|k| several && fit.is_nothing(*k)) else { break };
+            effects.remove(nothing);
+            let part = search::fit_part(setup, null, library::hypothesis(setup, &effects), fit);
+            self.lead_with(null, part);
+        }
     }
 
     /// Has the dry friction of the answers that may be named as sharp as the data say it is, and weighs them so: an unknown cause, which
