@@ -36,7 +36,7 @@ fn report(site: &Site<'_>, members: &[Member], node: usize) -> NodeReport {
         overruns: vitals.get(Vital::Overruns),
         lateness: vitals.lateness.percentiles(),
         computation: vitals.computation.percentiles(),
-        sent: vitals.get(Vital::Sent),
+        sent: sent(site, members, node),
         undelivered: vitals.get(Vital::Undelivered),
         inputs,
         lost,
@@ -55,13 +55,45 @@ fn report(site: &Site<'_>, members: &[Member], node: usize) -> NodeReport {
     }
 }
 
+/// How many messages a node sent. One that is killed between a message and its count of it has counted one fewer than came, each time
+/// that it is: what came was sent. What receivers say beyond that is not believed.
+fn sent(site: &Site<'_>, members: &[Member], node: usize) -> u64 {
+    let vitals = &members[node].vitals;
+    let (counted, deaths) = (vitals.get(Vital::Sent), vitals.get(Vital::Starts).saturating_add(1));
+    let mut came = 0;
+    for (plan, receiver) in site.graph.nodes().iter().zip(members) {
+        for (input, connection) in plan.inputs.iter().enumerate() {
+            if site.graph.connections()[*connection].from == node {
+                let [consumed, superseded] = [InputVital::Consumed, InputVital::Superseded]
+                    .map(|vital| receiver.vitals.input(input, vital));
+                came = came.max(consumed.saturating_add(superseded));
+            }
+        }
+    }
+    came.clamp(counted, counted.saturating_add(deaths))
+}
+
+/// Takes out of the losses the `excess` of what is accounted for over what was sent, and gives what it took. A gap in the numbers of a
+/// sender that was started again may be seen before that sender has told of it: what nobody sent was not lost on the way.
+fn take_never_sent(lost: &mut Vec<(LossReason, u64)>, excess: u64) -> u64 {
+    let mut left = excess;
+    for reason in [LossReason::Transport, LossReason::ReceiverDown] {
+        if let Some((_, count)) = lost.iter_mut().find(|(of, _)| *of == reason) {
+            let taken = left.min(*count);
+            (*count, left) = (*count - taken, left - taken);
+        }
+    }
+    lost.retain(|(_, count)| *count > 0);
+    excess - left
+}
+
 fn input_report(site: &Site<'_>, members: &[Member], node: usize, input: usize) -> InputReport {
     let graph = site.graph;
     let connection = &graph.connections()[graph.nodes()[node].inputs[input]];
     let vitals = &members[node].vitals;
     let consumed = vitals.input(input, InputVital::Consumed);
     let superseded = vitals.input(input, InputVital::Superseded);
-    let sent = members[connection.from].vitals.get(Vital::Sent);
+    let sent = sent(site, members, connection.from);
     let mut lost: Vec<(LossReason, u64)> = LossReason::ALL
         .into_iter()
         .map(|reason| (reason, vitals.lost(input, reason)))
@@ -83,16 +115,7 @@ fn input_report(site: &Site<'_>, members: &[Member], node: usize, input: usize) 
         let behind = next.saturating_sub(known).saturating_sub(that_cross(known, next, every)).min(rest);
         (held_back, rest) = (held_back.saturating_add(behind), rest - behind);
     }
-    // A gap in the numbers of a machine that was started again may be seen before that machine has told of it: what nobody sent
-    // was not lost on the way.
-    let mut never_sent = accounted.saturating_sub(sent);
-    if let Some((_, count)) = lost.iter_mut().find(|(reason, _)| *reason == LossReason::Transport) {
-        never_sent = never_sent.min(*count);
-        *count -= never_sent;
-    } else {
-        never_sent = 0;
-    }
-    lost.retain(|(_, count)| *count > 0);
+    let never_sent = take_never_sent(&mut lost, accounted.saturating_sub(sent));
     // What is under way to a node that ended for good will not arrive.
     let gone = !matches!(members[node].exit, Some(Exit::Clean) | None);
     if gone && rest > 0 {
@@ -112,5 +135,21 @@ fn input_report(site: &Site<'_>, members: &[Member], node: usize, input: usize) 
         not_sent: vitals.lost(input, LossReason::NotSent).saturating_add(never_sent),
         held_back,
         safe: vitals.input(input, InputVital::Safe),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_nobody_sent_was_lost_nowhere() {
+        let mut lost =
+            vec![(LossReason::Overflow, 2), (LossReason::Transport, 3), (LossReason::ReceiverDown, 4)];
+        assert_eq!(take_never_sent(&mut lost, 5), 5);
+        assert_eq!(lost, [(LossReason::Overflow, 2), (LossReason::ReceiverDown, 2)]);
+        // What was too much for an input did come.
+        assert_eq!(take_never_sent(&mut lost, 9), 2);
+        assert_eq!(lost, [(LossReason::Overflow, 2)]);
     }
 }
