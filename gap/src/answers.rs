@@ -103,21 +103,32 @@ fn late_there(answer: &Which, effect: usize, places: &[&str]) -> Option<String> 
     found.map(|(_, there)| there)
 }
 
+/// What readings show, as an effect of an answer.
+pub(crate) fn as_fitted(r: &ReadingEffect) -> FittedEffect {
+    FittedEffect { name: r.name.clone(), place: r.place.clone(), parameters: r.parameters.clone() }
+}
+
 /// All answers by probability. Effects on how readings scatter that count as causes are part of each.
 pub(crate) fn which(
     setup: &Setup,
     posterior: &posterior::Posterior,
     readings: &[ReadingEffect],
 ) -> Vec<Which> {
-    let mut out: Vec<Which> = posterior
-        .answers
-        .iter()
-        .map(|answer| Which {
+    let known = |way: &ReadingEffect| readings.iter().any(|r| r.place == way.place);
+    let mut out: Vec<Which> = Vec::new();
+    for answer in &posterior.answers {
+        let ways = answer.ways().filter(|(way, _)| !known(way)).map(|(way, probability)| {
+            let effect = as_fitted(way);
+            Which { class: vec![effect.label()], effects: vec![effect], probability }
+        });
+        let ways: Vec<Which> = ways.collect();
+        out.push(Which {
             effects: fitted_effects(setup, &answer.fit),
             class: answer.class.clone(),
-            probability: answer.probability,
-        })
-        .collect();
+            probability: answer.probability - ways.iter().map(|way| way.probability).sum::<f64>(),
+        });
+        out.extend(ways);
+    }
     out.push(Which { effects: Vec::new(), class: Vec::new(), probability: posterior.no_gap });
     // Readings and commands that come late by chance come late on average: a delay of that size is no cause of its own.
     let scattered = || readings.iter().filter(|r| r.name == Effect::Jitter.name());
@@ -174,11 +185,7 @@ pub(crate) fn which(
         if answer.class.is_empty() {
             answer.class.push(labels.join(" + "));
         }
-        answer.effects.extend(readings.iter().map(|r| FittedEffect {
-            name: r.name.clone(),
-            place: r.place.clone(),
-            parameters: r.parameters.clone(),
-        }));
+        answer.effects.extend(readings.iter().map(as_fitted));
     }
     out.sort_by(|a, b| b.probability.total_cmp(&a.probability));
     out

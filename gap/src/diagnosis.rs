@@ -29,7 +29,7 @@ use crate::pieces;
 use crate::posterior::{self, Answer, Left};
 use crate::quantify::{self, Row};
 use crate::readings::{self, Acted, ReadingEffect};
-use crate::report::{Confusable, FittedEffect, Gap, NotTestable, Overlay, Report, Split, Unexplained};
+use crate::report::{Confusable, Gap, NotTestable, Overlay, Report, Split, Unexplained};
 use crate::rows::Rows;
 use crate::search::{self, Fit, INEXACT};
 use crate::setup::Setup;
@@ -166,6 +166,13 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     }
     let mut detected = p_value < 0.01 && answers.no_gap < 0.5;
     let worse = |with: &Row| quantify::closed(&refitted, with, options.seed).high < 0.0;
+    if detected && acted.is_none() && of_size.is_none() {
+        let possible = |at: &EffectAt| {
+            let (name, place) = (at.effect.name(), at.place.to_string());
+            options.allows(at) && !system.effects.iter().any(|e| e.name == name && e.place == place)
+        };
+        answers.weigh_times(setup, &null, options, &possible);
+    }
     let (mut with_best, mut times_are_all) = (None, false);
     if detected && acted.is_none() && !answers.names() {
         answers.weigh_sharp(setup, &null);
@@ -285,6 +292,12 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     let (mean_detected, detected) = (detected, detected || !causes.is_empty());
     let shown = if mean_detected && named { best } else { &null };
     let which = answers::which(setup, &answers, &causes);
+    // Commands that are late on average, and not all by the same time.
+    let way = which.first().filter(|_| mean_detected && named).and_then(|first| {
+        let is_it = |way: &ReadingEffect| first.effects == [answers::as_fitted(way)];
+        answers.answers.first()?.ways().map(|(way, _)| way).find(|way| is_it(way)).cloned()
+    });
+    readings.extend(way.clone());
     let report = Report {
         summary: String::new(),
         system: system.name.clone(),
@@ -312,11 +325,11 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
         made_from: None,
     };
     let mut found = if mean_detected && named { answers::fitted_effects(setup, best) } else { Vec::new() };
-    found.extend(causes.iter().map(|r| FittedEffect {
-        name: r.name.clone(),
-        place: r.place.clone(),
-        parameters: r.parameters.clone(),
-    }));
+    if way.as_ref().is_some_and(|way| way.name == Effect::Drops.name()) {
+        // What is lost is late by a period: that is all of the delay.
+        found.clear();
+    }
+    found.extend(causes.iter().chain(&way).map(answers::as_fitted));
     let effects = answers::corrected_effects(setup, &shown.hypothesis, &found);
     let (calibrated, refitted) = (calibration::values(setup, shown), calibration::values(setup, &null));
     let mut diagnosis = Diagnosis { report, overlays, calibrated, refitted, effects, rows };

@@ -72,7 +72,7 @@ pub fn share_of_form(explained: f64, gap: f64) -> f64 {
 /// Where some hypothesis reaches the sensors' noise, both losses are likelihoods of the data, and their mean decides:
 /// the two fail in different cases. Where the null model does already, and its innovations are random, the filter is of
 /// nearly the right model whatever is true, and the innovations alone decide: windows choose their first states freely, and
-/// hardly show what is small and slow. Where none does, as on any real machine, the innovations are ruled by what every
+/// hardly show what is small and slow. Where no hypothesis does, as on any real machine, the innovations are ruled by what every
 /// hypothesis lacks; the short windows judge what a simulator is for. Either way the windows' readings count for as
 /// many as their correlation leaves.
 #[derive(Clone, Copy, Debug)]

@@ -5,6 +5,7 @@ mod classes;
 mod doubt;
 mod gathered;
 mod refined;
+mod times;
 
 use nalgebra::DVector;
 
@@ -267,7 +268,7 @@ impl Posterior {
                 *of_member = answer.probability * weight / all;
             }
         }
-        self.answers.sort_by(|a, b| b.probability.total_cmp(&a.probability));
+        self.answers.sort_by(|a, b| b.likeliest().total_cmp(&a.likeliest()));
         largest + of_a_gap.ln()
     }
 
@@ -280,7 +281,7 @@ impl Posterior {
     /// Whether the leading answer is more likely than that none of them is right.
     #[must_use]
     pub fn names(&self) -> bool {
-        self.answers.first().is_some_and(|answer| answer.probability > self.unexplained)
+        self.answers.first().is_some_and(|answer| answer.likeliest() > self.unexplained)
     }
 
     /// The best residual: on top of the leading answer, or alone.
@@ -376,6 +377,7 @@ pub fn weigh(
             members: members.collect(),
             probability: 0.0,
             logs: class.iter().map(|&k| logs[k]).collect(),
+            times: None,
         });
     }
     let mut posterior = Posterior {

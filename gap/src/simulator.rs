@@ -40,7 +40,7 @@ pub trait Simulator: Sync {
         let _ = time;
         (state.to_vec(), std.to_vec())
     }
-    /// By how much an output's reading is what its sensor would read, at the parameters θ: the scale that the hypothesis fits there.
+    /// The scale of an output's readings that the hypothesis fits, at the parameters θ; 1 where it fits none.
     fn scale(&self, theta: &[f64], output: usize) -> f64 {
         let _ = (theta, output);
         1.0

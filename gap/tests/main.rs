@@ -17,6 +17,7 @@ mod flexible;
 mod held_out;
 mod inputs;
 mod large;
+mod late;
 mod library;
 mod lines;
 mod next_experiment;

@@ -129,6 +129,7 @@ impl Rounds<'_> {
             let k = weighed.fetch_add(1, Ordering::Relaxed) + 1;
             progress((0.6 + 0.1 * k as f64).min(1.0), label);
         });
+        answers.leave_out_nothing(&setup, &null);
         answers.hold_to_predictions(&setup);
         let mut columns = columns;
         columns.extend(

@@ -351,7 +351,11 @@ fn mass(setup: &Setup, joint: usize) -> f64 {
 /// stated stiffness: no further than the joint goes.
 pub(super) fn deflection(setup: &Setup, joint: usize, stated: Option<f64>) -> (f64, f64) {
     let scale = &setup.joints[joint];
-    let turns = TAU * 0.3 * HIGHEST / setup.period;
+    let highest = HIGHEST / setup.period;
+    if let Some(line) = ringing(setup, scale, highest).filter(|_| stated.is_none()) {
+        return (scale.speed / (TAU * line), scale.speed);
+    }
+    let turns = TAU * 0.3 * highest;
     // Of equal halves of the inertia.
     let usual = turns * turns * scale.inertia * 0.25;
     let range = scale.position.width();
@@ -361,18 +365,38 @@ pub(super) fn deflection(setup: &Setup, joint: usize, stated: Option<f64>) -> (f
     (0.5 * size, 0.2 * size * turns * (stiffness / usual).sqrt())
 }
 
+/// The strongest line (Hz) of what the model leaves of a joint that swings to and fro faster than what drives it could have it do as a
+/// whole: a part of it rings, and a spring bends about as far as the joint goes.
+fn ringing(setup: &Setup, scale: &JointScale, highest: f64) -> Option<f64> {
+    // Amplitude and speed of a swing give how often it turns.
+    let turns = 8.0_f64.sqrt() * scale.speed / scale.position.width();
+    let line = setup.frequencies.first().copied()?;
+    let rings = scale.inertia * scale.speed * turns > scale.force;
+    (rings && (LOWEST * highest..0.3 * highest).contains(&line)).then_some(line)
+}
+
+/// Share of the highest frequency of a spring inside a joint below which none is looked for.
+const LOWEST: f64 = 0.02;
+
 /// Highest frequency of a spring inside a joint that readings show, in their own frequency.
 const HIGHEST: f64 = 0.35;
 
-/// A spring inside a joint, by the frequency at which equal halves of the joint would swing against each other.
+/// Lines of what the model leaves, the strongest first, at which a spring is tried beside the usual frequencies.
+const LINES: usize = 2;
+
+/// A spring inside a joint, by the frequency at which equal halves of the joint would swing against each other. Where a loop is closed
+/// over a soft one it rings, and that is far from any other start.
 fn flexible(setup: &Setup, scale: &JointScale, quantity: Quantity, fitted: &mut Fitted) {
     let highest = HIGHEST / setup.period;
+    let lowest = LOWEST * highest;
     let stiffness = |hertz: f64| (TAU * hertz).powi(2) * scale.inertia * 0.25;
-    let hertz = [0.12, 0.3, 0.7].map(|share: f64| share * highest);
+    let lines = setup.frequencies.iter().copied().filter(|line| (lowest..highest).contains(line));
+    let hertz: Vec<f64> =
+        [0.12, 0.3, 0.7].into_iter().map(|share| share * highest).chain(lines.take(LINES)).collect();
     match quantity {
         Quantity::FlexibleStiffness => {
-            let (low, high) = (stiffness(0.02 * highest), stiffness(highest));
-            flat(fitted, low, high, hertz.map(stiffness).to_vec());
+            let (low, high) = (stiffness(lowest), stiffness(highest));
+            flat(fitted, low, high, hertz.iter().copied().map(stiffness).collect());
             fitted.null = high;
             fitted.scale = 0.2 * stiffness(hertz[0]);
         }
@@ -380,7 +404,7 @@ fn flexible(setup: &Setup, scale: &JointScale, quantity: Quantity, fitted: &mut 
             // Two ζ √(k J/4), with ζ of a tenth.
             let damping = |hertz: f64| 0.2 * (stiffness(hertz) * 0.25 * scale.inertia).sqrt();
             sized(fitted, 3.0 * damping(hertz[1]), &[0.0]);
-            fitted.starts = hertz.map(damping).to_vec();
+            fitted.starts = hertz.iter().copied().map(damping).collect();
         }
         _ => {
             flat(fitted, 0.0, 0.998, vec![0.3]);

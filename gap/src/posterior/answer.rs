@@ -1,5 +1,6 @@
 //! One answer of several.
 
+use super::times::Times;
 use crate::hypothesis::EffectAt;
 use crate::search::Fit;
 
@@ -18,6 +19,8 @@ pub struct Answer {
     pub probability: f64,
     /// Natural logarithms of prior times tempered evidence, in the order of the class.
     pub(super) logs: Vec<f64>,
+    /// What else its commands may be, where it is a delay of theirs and that was weighed.
+    pub(super) times: Option<Times>,
 }
 
 impl Answer {
@@ -27,7 +30,7 @@ impl Answer {
         let most = self.logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         self.logs = vec![most + self.logs.iter().map(|log| (log - most).exp()).sum::<f64>().ln()];
         self.class = vec![fit.hypothesis.label()];
-        (self.fit, self.alike) = (fit, Vec::new());
+        (self.fit, self.alike, self.times) = (fit, Vec::new(), None);
     }
 }
 

@@ -13,23 +13,35 @@ use crate::setup::Setup;
 
 impl Posterior {
     /// Has the leading answer's dry friction as sharp as the data say it is. Gives whether that is sharper than it was. What the
-    /// answers weigh stays as it was, where all of them were as smooth.
+    /// answers weigh stays as it was, where all of them were as smooth. What of several effects then changes nothing made up for what the
+    /// smooth friction lacked, and is left out.
     pub(crate) fn sharpen(&mut self, setup: &Setup, null: &Fit) -> bool {
-        let Some(leader) = self.answers.first_mut() else { return false };
-        let Some(sharper) = search::sharpened(setup, null, &leader.fit) else { return false };
-        leader.fit = sharper;
-        self.leave_out_nothing(setup, null);
-        true
+        let mut changed = false;
+        while let Some(leader) = self.answers.first_mut() {
+            let Some(sharper) = search::sharpened(setup, null, &leader.fit) else { break };
+            changed = true;
+            let count = sharper.hypothesis.effects.len();
+            let Some(nothing) = (0..count).find(|k| count > 1 && sharper.is_nothing(*k)) else {
+                leader.fit = sharper;
+                break;
+            };
+            let part = fit_without(setup, null, &leader.fit, nothing);
+            self.lead_with(null, part);
+        }
+        changed
     }
 
-    /// Leaves out of several effects of the leading answer those that ended where they change nothing: what a smooth friction lacked.
-    fn leave_out_nothing(&mut self, setup: &Setup, null: &Fit) {
+    /// Leaves out of several effects of the leading answer those that ended where they change nothing: what joined an effect whose own
+    /// search had ended elsewhere has only begun that anew.
+    pub(crate) fn leave_out_nothing(&mut self, setup: &Setup, null: &Fit) {
         while let Some(fit) = self.answers.first().map(|leader| &leader.fit) {
-            let mut effects = fit.hypothesis.effects.clone();
-            let several = effects.len() > 1;
-            let Some(nothing) = (0..effects.len()).find(|k| several && fit.is_nothing(*k)) else { break };
-            effects.remove(nothing);
-            let part = search::fit_part(setup, null, library::hypothesis(setup, &effects), fit);
+            let count = fit.hypothesis.effects.len();
+            let nothing = (0..count).filter(|k| count > 1 && fit.is_nothing(*k) && !setup.stop.asked());
+            // From the states that the model with all of them has: where a machine rings, the nominal model knows none.
+            let parts = nothing.map(|k| fit_without(setup, fit, fit, k));
+            let part = parts.min_by(|a, b| self.judge.cost(a).total_cmp(&self.judge.cost(b)));
+            let no_worse = |part: &Fit| !self.judge.is_material(fit, part);
+            let Some(part) = part.filter(no_worse) else { break };
             self.lead_with(null, part);
         }
     }
@@ -94,9 +106,7 @@ impl Posterior {
                 break;
             }
             let without = |k: usize| {
-                let mut effects = effects.clone();
-                effects.remove(k);
-                let mut part = search::fit_part(setup, null, library::hypothesis(setup, &effects), fit);
+                let mut part = fit_without(setup, null, fit, k);
                 part.hold_to_predictions(setup);
                 let row = row(&part);
                 (part, row)
@@ -131,4 +141,11 @@ impl Posterior {
             leader.members.iter_mut().for_each(|(_, probability, _)| *probability += known);
         }
     }
+}
+
+/// The fit without one of its effects, from where the others are, and from the states and the noise of `base`.
+fn fit_without(setup: &Setup, base: &Fit, fit: &Fit, effect: usize) -> Fit {
+    let mut effects = fit.hypothesis.effects.clone();
+    effects.remove(effect);
+    search::fit_part(setup, base, library::hypothesis(setup, &effects), fit)
 }

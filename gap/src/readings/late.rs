@@ -118,8 +118,61 @@ impl Look {
     }
 }
 
+/// Commands that were moved to when they most likely acted, under a hypothesis that was fitted to that.
+struct Moved {
+    setup: Setup,
+    /// −2 log evidence with the price of the times, and the mean squared error of short windows, in noise units squared.
+    cost: f64,
+    error: f64,
+    /// What the innovations say then.
+    last: Look,
+    /// What all are late by beside that (s).
+    delay: f64,
+    /// The longest spread that was looked for, and the lateness to which responses belong (s).
+    most: f64,
+    unit: f64,
+}
+
 /// The times at which the commands of one input acted under a hypothesis.
 pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> Option<Acted> {
+    let recorded = &setup.experiment.inputs[input];
+    let Moved { setup: clean, cost, error, last, delay, most, unit } =
+        moved_in_rounds(setup, base, input, place)?;
+    let told = -0.5 * (cost - base.innovation.evidence_cost);
+    // Times are told where a command changes much.
+    let telling: Vec<f64> = last.telling().iter().map(|k| recorded.times[*k]).collect();
+    let all = last.commands.iter().map(|k| recorded.times[*k]).zip(last.all.energies());
+    let once = last.is_of_once(recorded, setup.experiment.span());
+    // A spread that is not told from none is of times that are their mean.
+    let scatters = last.late.std < SURE * last.late.spread;
+    if told < TOLD
+        || !scatters
+        || once
+        || !last.is_of_changes(most)
+        || come_at_rest(setup, base, &telling, all)
+    {
+        return None;
+    }
+    let mut acted = clean.experiment.inputs[input].clone();
+    // What all are late by is of their times, and nothing beside them.
+    acted.times.iter_mut().for_each(|time| *time += delay);
+    let value = Value { value: last.late.spread, std: last.late.std, unit: "s".into() };
+    let density = scatter::density_at_input(setup, base, input, (unit, last.late.spread / unit));
+    let effect =
+        found("jitter", place.to_string(), ("spread", value), -2.0 * told, true, density.unwrap_or_default());
+    Some(Acted { input, recorded: recorded.clone(), acted, effect, by_chance: true, cost, error })
+}
+
+/// By how much the commands of one input scatter (s), where they can be moved, as responses to times that differ much are not in
+/// proportion to them; and the mean squared error of short windows that is left then, in noise units squared.
+pub(super) fn spread(setup: &Setup, base: &Fit, input: usize, place: &Place) -> Option<(Value, f64)> {
+    let Moved { last, error, .. } = moved_in_rounds(setup, base, input, place)?;
+    let Late { spread, std, .. } = last.late;
+    (std < SURE * spread).then(|| (Value { value: spread, std, unit: "s".into() }, error))
+}
+
+/// Moves the commands of one input to when they most likely acted, and looks again, as long as that explains more.
+fn moved_in_rounds(setup: &Setup, base: &Fit, input: usize, place: &Place) -> Option<Moved> {
     let recorded = &setup.experiment.inputs[input];
     let mut between: Vec<f64> = recorded.times.windows(2).map(|t| t[1] - t[0]).collect();
     if between.is_empty() {
@@ -170,30 +223,8 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
             delay = of_all(&fit, place);
         }
     }
-    let (cost, error, clean, last) = best?;
-    let told = -0.5 * (cost - base.innovation.evidence_cost);
-    // Times are told where a command changes much.
-    let telling: Vec<f64> = last.telling().iter().map(|k| recorded.times[*k]).collect();
-    let all = last.commands.iter().map(|k| recorded.times[*k]).zip(last.all.energies());
-    let once = last.is_of_once(recorded, setup.experiment.span());
-    // A spread that is not told from none is of times that are their mean.
-    let scatters = last.late.std < SURE * last.late.spread;
-    if told < TOLD
-        || !scatters
-        || once
-        || !last.is_of_changes(most)
-        || come_at_rest(setup, base, &telling, all)
-    {
-        return None;
-    }
-    let mut acted = clean.experiment.inputs[input].clone();
-    // What all are late by is of their times, and nothing beside them.
-    acted.times.iter_mut().for_each(|time| *time += delay);
-    let value = Value { value: last.late.spread, std: last.late.std, unit: "s".into() };
-    let density = scatter::density_at_input(setup, base, input, (unit, last.late.spread / unit));
-    let effect =
-        found("jitter", place.to_string(), ("spread", value), -2.0 * told, true, density.unwrap_or_default());
-    Some(Acted { input, recorded: recorded.clone(), acted, effect, by_chance: true, cost, error })
+    let (cost, error, setup, last) = best?;
+    Some(Moved { setup, cost, error, last, delay, most, unit })
 }
 
 /// Late commands as lost ones, where that is what their times say.

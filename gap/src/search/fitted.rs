@@ -1,5 +1,6 @@
 //! A hypothesis, fitted, and what can be asked of it.
 
+use parallax_model::effect::Quantity;
 use parallax_model::plant::Residual;
 use parallax_model::system::{JointValues, Point};
 
@@ -134,11 +135,19 @@ impl Fit {
         self.hypothesis.of_effect(effect).any(near)
     }
 
-    /// Whether an effect ended where it changes nothing.
+    /// Whether an effect ended where it changes nothing. How a lag of no time is damped is no matter.
     pub(crate) fn is_nothing(&self, effect: usize) -> bool {
-        let (fitted, value) = (&self.hypothesis.fitted, self.estimate());
-        let at_null = |k: usize| (value[k] - fitted[k].null).abs() < RESTS * fitted[k].scale;
-        self.hypothesis.of_effect(effect).all(at_null)
+        let of = self.hypothesis.effects[effect].effect.parameters();
+        let shapes = |k: usize| match self.hypothesis.fitted[k].slot {
+            Slot::Effect { parameter, .. } => of[parameter].quantity == Quantity::Damping,
+            _ => false,
+        };
+        self.hypothesis.of_effect(effect).all(|k| shapes(k) || self.at_null(k))
+    }
+
+    fn at_null(&self, parameter: usize) -> bool {
+        let fitted = &self.hypothesis.fitted[parameter];
+        (self.estimate()[parameter] - fitted.null).abs() < RESTS * fitted.scale
     }
 
     /// The parameters by innovation likelihood, at which the evidence was taken.

@@ -1,9 +1,14 @@
 //! A mass on a rail that is driven along it, diagnosed.
 
+use std::collections::VecDeque;
+
 use parallax_gap::diagnosis::{Options, diagnose_experiment};
 use parallax_gap::experiment::{Experiment, Held, Sample};
 use parallax_gap::report::{Report, Which};
 use parallax_model::system::System;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
 
 use crate::rail;
 
@@ -26,6 +31,41 @@ pub(crate) fn diagnosed(noise: f64, pushes: Held, samples: Vec<Sample>) -> Repor
     diagnose_experiment(equations, experiment, "log", &Options::default(), &|_, _| {})
         .expect("it can be diagnosed")
         .report
+}
+
+/// A mass that is pushed for 20 s by commands that each act after a time of their own (s), of what they are and of a draw; in the
+/// order in which they were sent; what is asked for changes every 0.1 s. Steps of 0.2 ms. Its position is read with this noise (m).
+pub(crate) fn pushed(noise: f64, mut late: impl FnMut(f64, f64) -> f64) -> Report {
+    const PERIOD: f64 = 0.02;
+    const STEPS: u32 = 100;
+    const HELD: u32 = 5;
+    let mut random = ChaCha8Rng::seed_from_u64(23);
+    let mut draw = move || -> f64 { StandardNormal.sample(&mut random) };
+    let (mut held, mut samples) = (Held::default(), Vec::new());
+    let (mut q, mut v, mut acting, mut last) = (0.0, 0.0, 0.0, 0.0_f64);
+    let mut queue: VecDeque<(f64, f64)> = VecDeque::new();
+    let mut push = 0.0;
+    for k in 0..1000 {
+        let stamp = PERIOD * f64::from(k);
+        samples.push(Sample { stamp, output: 0, value: q + noise * draw() });
+        if k % HELD == 0 {
+            push = 1.2 * draw();
+        }
+        held.times.push(stamp);
+        held.values.push(push);
+        last = last.max(stamp + late(push, draw()));
+        queue.push_back((last, push));
+        let step = PERIOD / f64::from(STEPS);
+        for i in 0..STEPS {
+            while queue.front().is_some_and(|(at, _)| *at <= stamp + step * f64::from(i) + 1e-9) {
+                acting = queue.pop_front().expect("it is there").1;
+            }
+            q += 0.5 * step * v;
+            v += step * (acting - 2.8 * v);
+            q += 0.5 * step * v;
+        }
+    }
+    diagnosed(noise, held, samples)
 }
 
 /// The effects of an answer, in the order of their names.

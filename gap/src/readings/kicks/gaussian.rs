@@ -9,6 +9,9 @@ use crate::readings::golden::golden;
 const GRID: usize = 17;
 const GOLDEN: usize = 10;
 
+/// Rounds in which the ratio of a spread to the size of the innovations follows that size, which depends on it.
+const REFINED: usize = 3;
+
 /// What the innovations say of commands that are late by chance.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::readings) struct Late {
@@ -97,6 +100,13 @@ impl Kicks {
     /// is free.
     pub(in crate::readings) fn of_same(&self) -> f64 {
         self.cost(0.0).0 + self.volume
+    }
+
+    /// The same of commands that are late by times of any mean and of this standard deviation (s).
+    pub(in crate::readings) fn of_spread(&self, spread: f64) -> f64 {
+        let share = spread / self.lateness();
+        let ratio = (0..REFINED).fold(share, |ratio, _| share / self.cost(ratio).1.sqrt());
+        self.cost(ratio).0 + self.volume
     }
 
     /// −2 log likelihood of the innovations as they are, up to a constant.
