@@ -153,3 +153,70 @@ fn a_spring_that_swings_within_the_windows_is_named() {
     let named: Vec<_> = answer.effects.iter().map(|e| (e.name.as_str(), e.place.as_str())).collect();
     assert_eq!(named, [("flexibility", "joint:shaft")], "{:#?}", found.report.which);
 }
+
+/// A heavy axis that is believed to be one mass.
+const AXIS: &str = r#"
+format = 1
+name = "axis"
+
+[parameters]
+M = { value = 95.0, unit = "kg", calibrate = [60.0, 140.0] }
+d = { value = 200.0, unit = "N s/m", calibrate = [0.0, 600.0] }
+
+[inputs]
+u = { signal = "force" }
+
+[state]
+q = { derivative = "v", initial = "position" }
+v = { derivative = "(u - d*v)/M" }
+
+[outputs]
+position = { value = "q", unit = "m" }
+
+[joints]
+axis = { position = "q", velocity = "v", inertia = "M", drive = "u" }
+"#;
+
+/// Twenty seconds of that axis, whose motor carries a quarter of the mass and drives the rest through a soft spring, under a loop over the
+/// carriage that it cannot follow: it rings between the limits of its force.
+fn ring() -> Log {
+    const STEPS: usize = 100;
+    let mut random = ChaCha8Rng::seed_from_u64(4);
+    let step = PERIOD / STEPS as f64;
+    let (carriage, motor, stiffness, damping) = (73.0, 24.0, 27_000.0, 40.0);
+    let (mut x, mut v, mut x_motor, mut v_motor) = (0.0_f64, 0.0, 0.0, 0.0);
+    let (mut stamps, mut commands, mut readings) = (Vec::new(), Vec::new(), Vec::new());
+    for k in 0..SAMPLES {
+        let time = k as f64 * PERIOD;
+        let goal = 0.08 * (TAU * 0.21 * time).sin() + 0.04 * (TAU * 0.67 * time + 1.0).sin();
+        let force = (13_700.0 * (goal - x) - 1600.0 * v).clamp(-600.0, 600.0);
+        let noise: f64 = StandardNormal.sample(&mut random);
+        stamps.push((time * 1e9).round() as i64);
+        commands.push(force);
+        readings.push(x + 0.0001 * noise);
+        for _ in 0..STEPS {
+            let spring = stiffness * (x_motor - x) + damping * (v_motor - v);
+            v += step * (spring - 190.0 * v) / carriage;
+            v_motor += step * (force - spring) / motor;
+            x += step * v;
+            x_motor += step * v_motor;
+        }
+    }
+    let signals = vec![
+        Signal::new("force", Role::Command, "N", stamps.clone(), commands),
+        Signal::new("position", Role::Measurement, "m", stamps, readings),
+    ];
+    Log { title: "axis".into(), signals, ..Log::default() }
+}
+
+#[test]
+fn a_loop_that_is_closed_over_a_soft_spring_rings_and_it_is_found() {
+    let system = System::parse(AXIS, "axis.toml").expect("valid");
+    let found = diagnose(&system, &ring(), &Options::default(), &|_, _| ()).expect("diagnosed");
+    let report = found.report;
+    let [only] = &report.which[0].effects[..] else { panic!("{}", report.summary) };
+    assert_eq!(only.label(), "flexibility@joint:axis", "{}", report.summary);
+    assert!(report.which[0].probability > 0.9, "{}", report.summary);
+    let stiffness = &only.parameters["stiffness"];
+    assert!((stiffness.value / 27_000.0 - 1.0).abs() < 0.1, "{stiffness:?}");
+}
