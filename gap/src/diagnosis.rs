@@ -167,11 +167,7 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     let mut detected = p_value < 0.01 && answers.no_gap < 0.5;
     let worse = |with: &Row| quantify::closed(&refitted, with, options.seed).high < 0.0;
     if detected && acted.is_none() && of_size.is_none() {
-        let possible = |at: &EffectAt| {
-            let (name, place) = (at.effect.name(), at.place.to_string());
-            options.allows(at) && !system.effects.iter().any(|e| e.name == name && e.place == place)
-        };
-        answers.weigh_times(setup, &null, options, &possible);
+        answers.weigh_times(setup, &null, options, &|way| allowed(way) && !stated(way));
     }
     let (mut with_best, mut times_are_all) = (None, false);
     if detected && acted.is_none() && !answers.names() {

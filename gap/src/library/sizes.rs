@@ -368,10 +368,11 @@ pub(super) fn deflection(setup: &Setup, joint: usize, stated: Option<f64>) -> (f
 /// The strongest line (Hz) of what the model leaves of a joint that swings to and fro faster than what drives it could have it do as a
 /// whole: a part of it rings, and a spring bends about as far as the joint goes.
 fn ringing(setup: &Setup, scale: &JointScale, highest: f64) -> Option<f64> {
-    // Amplitude and speed of a swing give how often it turns.
-    let turns = 8.0_f64.sqrt() * scale.speed / scale.position.width();
     let line = setup.frequencies.first().copied()?;
-    let rings = scale.inertia * scale.speed * turns > scale.force;
+    // Amplitude and speed of a swing give how often it turns.
+    let range = scale.position.width();
+    let turns = 8.0_f64.sqrt() * scale.speed / range;
+    let rings = range > 0.0 && scale.inertia * scale.speed * turns > scale.force;
     (rings && (LOWEST * highest..0.3 * highest).contains(&line)).then_some(line)
 }
 

@@ -31,7 +31,7 @@ impl Posterior {
         setup: &Setup,
         null: &Fit,
         options: &Options,
-        possible: &(dyn Fn(&EffectAt) -> bool + Sync),
+        possible: &(dyn Fn(&ReadingEffect) -> bool + Sync),
     ) {
         let largest =
             self.answers.iter().flat_map(|answer| &answer.logs).copied().fold(self.log_no_gap, f64::max);
@@ -47,7 +47,7 @@ impl Posterior {
                 prior * (way.log_evidence / TEMPERATURE).exp()
             };
             let weighed: Vec<(ReadingEffect, f64)> = ways
-                .filter(|way| possible(&at(way)))
+                .filter(|way| possible(&way.found))
                 .map(|way| {
                     let weight = weight(&way);
                     (way.found, weight)

@@ -18,7 +18,7 @@ use crate::plot::format::{number, unit};
 use crate::report::Value;
 use crate::search::{self, Fit, INEXACT};
 use crate::setup::Setup;
-use crate::statistics::{median, quantile};
+use crate::statistics::quantile;
 
 /// Shares of the values that commands have that are small, those about their median, and steps in which these are refined.
 const SMALL: [f64; 7] = [0.05, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9];
@@ -81,8 +81,7 @@ struct Way {
 /// Commands that acted late where they were large under a hypothesis.
 pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> Option<Acted> {
     let recorded = &setup.experiment.inputs[input];
-    let mut between: Vec<f64> = recorded.times.windows(2).map(|t| t[1] - t[0]).collect();
-    if between.len() < 2 * FEWEST {
+    if recorded.times.len() <= 2 * FEWEST {
         return None;
     }
     let mut values = recorded.values.clone();
@@ -91,7 +90,7 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
     let commands = Commands { recorded, input, values };
     let all_late = EffectAt { effect: Effect::Delay, place: place.clone() };
     let longest = library::hypothesis(setup, std::slice::from_ref(&all_late)).fitted.last()?.high;
-    let shortest = 0.5 * median(&mut between);
+    let shortest = 0.5 * recorded.period();
     let ratio = (longest / shortest).powf(1.0 / (TIMES - 1) as f64);
     let mut times: Vec<f64> = (0..TIMES).map(|k| shortest * ratio.powi(k as i32)).collect();
     // Where all were found to be late, those that are not show best under a model that has all others as late.

@@ -18,7 +18,6 @@ use crate::library;
 use crate::report::Value;
 use crate::search::{self, Fit, INEXACT};
 use crate::setup::Setup;
-use crate::statistics::median;
 
 /// Rounds in which times are moved, at most.
 const ROUNDS: usize = 5;
@@ -174,11 +173,10 @@ pub(super) fn spread(setup: &Setup, base: &Fit, input: usize, place: &Place) -> 
 /// Moves the commands of one input to when they most likely acted, and looks again, as long as that explains more.
 fn moved_in_rounds(setup: &Setup, base: &Fit, input: usize, place: &Place) -> Option<Moved> {
     let recorded = &setup.experiment.inputs[input];
-    let mut between: Vec<f64> = recorded.times.windows(2).map(|t| t[1] - t[0]).collect();
-    if between.is_empty() {
+    let period = recorded.period();
+    if period <= 0.0 {
         return None;
     }
-    let period = median(&mut between);
     let (most, unit) = (MOST_PERIODS * period, period.min(setup.period));
     let look = |clean: &Setup, fit: &Fit| look(clean, fit, (input, recorded), (unit, most));
     // All by their mean, where that alone explains something.
@@ -230,13 +228,12 @@ fn moved_in_rounds(setup: &Setup, base: &Fit, input: usize, place: &Place) -> Op
 /// Late commands as lost ones, where that is what their times say.
 pub(super) fn as_lost(setup: &Setup, base: &Fit, late: &Acted) -> Option<ReadingEffect> {
     let sent = &late.recorded;
-    let mut between: Vec<f64> = sent.times.windows(2).map(|t| t[1] - t[0]).collect();
     let changes: Vec<usize> =
         (1..sent.values.len()).filter(|&k| sent.values[k] != sent.values[k - 1]).collect();
     let count = changes.len() as f64;
     let mean = changes.iter().map(|&k| late.acted.times[k] - sent.times[k]).sum::<f64>() / count;
     let spread = late.effect.parameters.get("spread")?;
-    let rate = lost_share(mean, spread.value, median(&mut between))?;
+    let rate = lost_share(mean, spread.value, sent.period())?;
     // The share goes with the square of the spread, and is known no better than that.
     let std = (rate * (1.0 - rate) / count).sqrt().hypot(2.0 * rate * spread.std / spread.value);
     let value = Value { value: rate, std, unit: String::new() };

@@ -13,7 +13,6 @@ use crate::hypothesis::EffectAt;
 use crate::report::Value;
 use crate::search::{Fit, INEXACT};
 use crate::setup::Setup;
-use crate::statistics::median;
 
 /// Spreads of times that are late and never early, in units of their mean: from where a third of the mean is by chance. Even in their
 /// logarithm.
@@ -35,12 +34,12 @@ pub(crate) struct Way {
 
 /// What commands of one input may be that are late by this delay of a fit on average: late by chance, or lost.
 pub(crate) fn odds(setup: &Setup, fit: &Fit, delay: &EffectAt) -> Vec<Way> {
-    let Some(late) = Late::of(setup, fit, delay) else { return Vec::new() };
+    let Some(late) = OnAverage::of(setup, fit, delay) else { return Vec::new() };
     [late.by_chance(), late.now_and_then()].into_iter().flatten().collect()
 }
 
 /// Commands of one input that are late on average.
-struct Late<'a> {
+struct OnAverage<'a> {
     setup: &'a Setup,
     fit: &'a Fit,
     input: usize,
@@ -57,7 +56,7 @@ struct Late<'a> {
     same: f64,
 }
 
-impl<'a> Late<'a> {
+impl<'a> OnAverage<'a> {
     fn of(setup: &'a Setup, fit: &'a Fit, delay: &'a EffectAt) -> Option<Self> {
         let inputs = &setup.equations.system().inputs;
         let here = |name: &String| delay.place == Place::new(PlaceKind::Input, name.clone());
@@ -65,12 +64,10 @@ impl<'a> Late<'a> {
         let of = fit.hypothesis.effects.iter().position(|at| at == delay && at.effect == Effect::Delay)?;
         let parameter = fit.hypothesis.of_effect(of).next()?;
         let (mean, std) = (fit.theta()[parameter], fit.std()[parameter]);
-        let times = &setup.experiment.inputs[input].times;
-        let mut between: Vec<f64> = times.windows(2).map(|t| t[1] - t[0]).collect();
-        if between.is_empty() || mean <= 0.0 || setup.stop.asked() {
+        let period = setup.experiment.inputs[input].period();
+        if period <= 0.0 || mean <= 0.0 || setup.stop.asked() {
             return None;
         }
-        let period = median(&mut between);
         let unit = period.min(setup.period);
         let mut noise = fit.innovation.noise.clone();
         let mut levels = Vec::new();
