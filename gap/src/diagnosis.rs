@@ -289,10 +289,8 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     let shown = if mean_detected && named { best } else { &null };
     let which = answers::which(setup, &answers, &causes);
     // Commands that are late on average, and not all by the same time.
-    let way = which.first().filter(|_| mean_detected && named).and_then(|first| {
-        let is_it = |way: &ReadingEffect| first.effects == [answers::as_fitted(way)];
-        answers.answers.first()?.ways().map(|(way, _)| way).find(|way| is_it(way)).cloned()
-    });
+    let known = |way: &&ReadingEffect| causes.iter().any(|cause| cause.place == way.place);
+    let way = answers.leading_way().filter(|way| mean_detected && named && !known(way)).cloned();
     readings.extend(way.clone());
     let report = Report {
         summary: String::new(),

@@ -7,14 +7,16 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use parallax_model::effect::Effect;
 use serde::{Deserialize, Serialize};
 
-use crate::answers::fitted_effects;
+use crate::answers::{as_fitted, fitted_effects};
 use crate::filter::Pass;
 use crate::hypothesis::EffectAt;
 use crate::library;
 use crate::options::Pattern;
 use crate::posterior::Posterior;
+use crate::readings::ReadingEffect;
 use crate::report::{Absorbed, Value};
 use crate::search::Fit;
 use crate::setup::{Range, Setup};
@@ -108,9 +110,9 @@ pub struct Evidence<'a> {
 /// Explains every effect that one of the patterns fits, in the order of their evidence.
 #[must_use]
 pub fn explain(evidence: &Evidence<'_>, patterns: &[Pattern]) -> Vec<Explanation> {
-    let Evidence { null, posterior, .. } = *evidence;
+    let Evidence { posterior, .. } = *evidence;
     let fits = |at: &EffectAt| patterns.iter().any(|pattern| pattern.fits(at));
-    let winner = posterior.leader(null);
+    let winner = Winner::of(evidence);
     let mut fitted: Vec<(&Fit, Fate)> = Vec::new();
     for (index, answer) in posterior.answers.iter().chain(&posterior.refuted).enumerate() {
         let members = [&answer.fit].into_iter().chain(&answer.alike);
@@ -119,6 +121,7 @@ pub fn explain(evidence: &Evidence<'_>, patterns: &[Pattern]) -> Vec<Explanation
             let single = fit.hypothesis.effects.len() == 1;
             if (single || index == 0) && fit.hypothesis.effects.iter().any(fits) {
                 let fate = match (index, member) {
+                    (0, _) if winner.way.is_some() => Fate::Loses,
                     (0, 0) => Fate::Leads,
                     (0, _) => Fate::Alike,
                     (index, _) if index >= posterior.answers.len() => Fate::Refuted,
@@ -130,11 +133,12 @@ pub fn explain(evidence: &Evidence<'_>, patterns: &[Pattern]) -> Vec<Explanation
     }
     fitted.sort_by(|a, b| posterior.cost(a.0).total_cmp(&posterior.cost(b.0)));
     let mut out: Vec<Explanation> =
-        fitted.into_iter().map(|(fit, fate)| of_fit(evidence, winner, fit, fate)).collect();
+        fitted.into_iter().map(|(fit, fate)| of_fit(evidence, &winner, fit, fate)).collect();
+    out.extend(of_ways(evidence, &winner, &fits));
     let plain = |effect: String, fate: Fate| Explanation {
         effect,
         fate,
-        winner: winner.hypothesis.label(),
+        winner: winner.label.clone(),
         evidence: None,
         against_no_effect: None,
         error: None,
@@ -170,21 +174,73 @@ pub fn explain(evidence: &Evidence<'_>, patterns: &[Pattern]) -> Vec<Explanation
     out
 }
 
-fn of_fit(evidence: &Evidence<'_>, winner: &Fit, fit: &Fit, fate: Fate) -> Explanation {
+/// The leading answer.
+struct Winner<'a> {
+    fit: &'a Fit,
+    /// What its commands are, where that is not the delay that is fitted.
+    way: Option<&'a ReadingEffect>,
+    label: String,
+    /// −2 log evidence.
+    cost: f64,
+}
+
+impl<'a> Winner<'a> {
+    fn of(evidence: &Evidence<'a>) -> Self {
+        let Evidence { null, posterior, .. } = *evidence;
+        let (fit, way) = (posterior.leader(null), posterior.leading_way());
+        let label = way.map_or_else(|| fit.hypothesis.label(), |way| as_fitted(way).label());
+        Winner { fit, way, label, cost: posterior.cost(fit) + way.map_or(0.0, |way| way.evidence) }
+    }
+}
+
+/// What commands may be that are late on average.
+fn of_ways(
+    evidence: &Evidence<'_>,
+    winner: &Winner<'_>,
+    fits: &dyn Fn(&EffectAt) -> bool,
+) -> Vec<Explanation> {
+    let Evidence { null, posterior, .. } = *evidence;
+    let mut out = Vec::new();
+    for answer in &posterior.answers {
+        let Some(fit) = answer.late_on_average() else { continue };
+        for (way, _) in answer.ways() {
+            let at = Effect::from_name(&way.name).zip(way.place.parse().ok());
+            if !at.is_some_and(|(effect, place)| fits(&EffectAt { effect, place })) {
+                continue;
+            }
+            let cost = posterior.cost(fit) + way.evidence;
+            let leads = winner.way == Some(way);
+            out.push(Explanation {
+                effect: as_fitted(way).label(),
+                fate: if leads { Fate::Leads } else { Fate::Loses },
+                winner: winner.label.clone(),
+                evidence: Some(0.5 * (winner.cost - cost)),
+                against_no_effect: Some(0.5 * (posterior.cost(null) - cost)),
+                error: Some(fit.shooting_error.max(0.0).sqrt()),
+                winner_error: Some(winner.fit.shooting_error.max(0.0).sqrt()),
+                parameters: way.parameters.clone(),
+                worse: Vec::new(),
+            });
+        }
+    }
+    out
+}
+
+fn of_fit(evidence: &Evidence<'_>, winner: &Winner<'_>, fit: &Fit, fate: Fate) -> Explanation {
     let Evidence { setup, null, posterior, .. } = *evidence;
     let leads = fate == Fate::Leads;
-    let beyond = |other: &Fit| 0.5 * (posterior.cost(other) - posterior.cost(fit));
+    let beyond = |cost: f64| 0.5 * (cost - posterior.cost(fit));
     let parameters = fitted_effects(setup, fit).into_iter().flat_map(|effect| effect.parameters).collect();
     Explanation {
         effect: fit.hypothesis.label(),
         fate,
-        winner: winner.hypothesis.label(),
-        evidence: Some(beyond(winner)),
-        against_no_effect: Some(beyond(null)),
+        winner: winner.label.clone(),
+        evidence: Some(beyond(winner.cost)),
+        against_no_effect: Some(beyond(posterior.cost(null))),
         error: Some(fit.shooting_error.max(0.0).sqrt()),
-        winner_error: Some(winner.shooting_error.max(0.0).sqrt()),
+        winner_error: Some(winner.fit.shooting_error.max(0.0).sqrt()),
         parameters,
-        worse: if leads { Vec::new() } else { worse(setup, null, fit, winner) },
+        worse: if leads { Vec::new() } else { worse(setup, null, fit, winner.fit) },
     }
 }
 

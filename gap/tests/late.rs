@@ -2,6 +2,7 @@
 //! they are all late by the same time, by chance, or lost now and then.
 
 use crate::axis::{labelled, pushed};
+use parallax_gap::explain::{Explanation, Fate};
 use parallax_gap::report::Report;
 
 /// Standard deviation of what the sensor adds (m).
@@ -11,6 +12,10 @@ fn probability(report: &Report, label: &str) -> f64 {
     report.which.iter().filter(|which| labelled(which) == label).map(|which| which.probability).sum()
 }
 
+fn explained<'a>(report: &'a Report, label: &str) -> &'a Explanation {
+    report.explanations.iter().find(|of| of.effect == label).expect("it was asked for")
+}
+
 #[test]
 fn the_same_delay_of_all_is_a_delay() {
     let report = pushed(NOISE, |_, _| 0.016);
@@ -18,6 +23,10 @@ fn the_same_delay_of_all_is_a_delay() {
     for other in ["jitter@input:u", "drops@input:u"] {
         assert!(probability(&report, other) < 0.1, "{other} {:?}", report.which);
     }
+    let (delay, jitter) = (explained(&report, "delay@input:u"), explained(&report, "jitter@input:u"));
+    assert_eq!((&delay.fate, &jitter.fate), (&Fate::Leads, &Fate::Loses));
+    assert_eq!(jitter.winner, "delay@input:u");
+    assert!(jitter.evidence.is_some_and(|evidence| evidence < 0.0), "{jitter:?}");
 }
 
 #[test]
@@ -29,6 +38,9 @@ fn times_that_are_late_and_never_early_scatter_about_their_mean() {
     let truth = 0.02 * (1.0 - 2.0 / std::f64::consts::PI).sqrt();
     assert!((spread.value - truth).abs() < 2.0 * spread.std, "{spread:?}, not {truth}");
     assert!(probability(&report, "delay@input:u") < 0.5, "{:?}", report.which);
+    let (delay, jitter) = (explained(&report, "delay@input:u"), explained(&report, "jitter@input:u"));
+    assert_eq!((&delay.fate, &jitter.fate), (&Fate::Loses, &Fate::Leads));
+    assert!(delay.evidence.is_some_and(|evidence| evidence < 0.0), "{delay:?}");
 }
 
 #[test]

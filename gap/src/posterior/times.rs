@@ -60,6 +60,14 @@ impl Posterior {
         });
         self.settle_on_best(null);
     }
+
+    /// What the commands of the leading answer are, where that is likelier than the answer's own delay.
+    pub(crate) fn leading_way(&self) -> Option<&ReadingEffect> {
+        let first = self.answers.first()?;
+        let own = first.probability - first.ways().map(|(_, probability)| probability).sum::<f64>();
+        let likeliest = first.ways().max_by(|a, b| a.1.total_cmp(&b.1));
+        likeliest.filter(|(_, probability)| *probability > own).map(|(way, _)| way)
+    }
 }
 
 /// The member of a class that is a delay of commands alone, and that delay.
@@ -81,6 +89,11 @@ impl Answer {
             let probability = self.members.get(times.member).map_or(0.0, |(_, probability, _)| *probability);
             times.ways.iter().map(move |(effect, share)| (effect, share * probability))
         })
+    }
+
+    /// The fit with the delay that these are weighed beside.
+    pub(crate) fn late_on_average(&self) -> Option<&Fit> {
+        self.times.as_ref().map(|times| self.member(times.member))
     }
 
     /// The probability of the likeliest way in which it may be so.

@@ -17,7 +17,7 @@ const JOINT: &str = r#"
 axis = { position = "q", velocity = "v", inertia = "1", drive = "u", load = "-d*v" }
 "#;
 
-/// What the diagnosis says of readings of its position, whose noise has this standard deviation (m), under these pushes.
+/// What the diagnosis says, and why of all effects on the pushes, of readings of its position, whose noise has this standard deviation (m), under these pushes.
 pub(crate) fn diagnosed(noise: f64, pushes: Held, samples: Vec<Sample>) -> Report {
     let experiment = Experiment {
         inputs: vec![pushes],
@@ -28,7 +28,8 @@ pub(crate) fn diagnosed(noise: f64, pushes: Held, samples: Vec<Sample>) -> Repor
     };
     let text = format!("{}{JOINT}", rail::SLIDE).replace("noise = 0.0005", &format!("noise = {noise}"));
     let equations = System::parse(&text, "rail.toml").expect("valid").equations().expect("complete");
-    diagnose_experiment(equations, experiment, "log", &Options::default(), &|_, _| {})
+    let options = Options { explain: vec!["input:u".parse().expect("a place")], ..Options::default() };
+    diagnose_experiment(equations, experiment, "log", &options, &|_, _| {})
         .expect("it can be diagnosed")
         .report
 }
