@@ -297,6 +297,7 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
         system: system.name.clone(),
         recordings: vec![title.into()],
         gap: Gap { detected, p_value: chance.max(f64::MIN_POSITIVE), score: how_far.refitted },
+        rests_s: setup.experiment.left_out(),
         calibration: calibration::moved(setup, shown),
         where_: answers::places(&answers, &causes),
         maps: if mean_detected { maps::maps(setup, &null, options.seed) } else { Vec::new() },

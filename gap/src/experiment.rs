@@ -1,5 +1,7 @@
 //! A recording as the fits see it: held commands and stamped readings.
 
+mod rests;
+
 /// A command, held from each stamp until the next.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Held {
@@ -21,7 +23,7 @@ pub struct Sample {
 }
 
 /// One recording, bound to a system's inputs and outputs.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Experiment {
     /// One per input of the system.
     pub inputs: Vec<Held>,
@@ -37,10 +39,12 @@ pub struct Experiment {
     pub wraps: Vec<Option<f64>>,
     /// The recordings that were put one after the other; empty where there is one.
     pub parts: Vec<Part>,
+    /// From when to when long rests were left out (s), increasing.
+    pub rests: Vec<(f64, f64)>,
 }
 
 /// One of several recordings on a common axis of time.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Part {
     /// Its name.
     pub title: String,
@@ -92,7 +96,7 @@ impl Held {
 }
 
 /// A recorded voltage behind an input.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct SupplyVoltage {
     /// The voltage, held from each stamp until the next.
     pub voltage: Held,

@@ -124,6 +124,7 @@ fn together(found: Vec<Diagnosis>, seed: u64) -> Diagnosis {
         system: reports.first().map_or_else(String::new, |r| r.system.clone()),
         recordings: reports.first().map_or_else(Vec::new, |r| r.recordings.clone()),
         gap,
+        rests_s: reports.iter().filter_map(|r| r.rests_s).reduce(f64::max),
         calibration: all(&reports, |r| &r.calibration),
         where_: all(&reports, |r| &r.where_),
         maps: all(&reports, |r| &r.maps),

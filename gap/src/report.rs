@@ -38,6 +38,10 @@ pub struct Report {
     pub recordings: Vec<String>,
     /// Whether there is a gap at all.
     pub gap: Gap,
+    /// How long the machine rested, beyond what is looked at of each rest (s): no command changed and no reading moved. Of a machine in
+    /// independent pieces, the longest of theirs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rests_s: Option<f64>,
     /// The calibrated parameters under the leading answer.
     pub calibration: Vec<Calibration>,
     /// Places by probability.

@@ -126,6 +126,23 @@ fn default_horizon(period: f64) -> f64 {
     if period > SLOW { READINGS_PER_WINDOW * period } else { (10.0 * period).max(0.25) }
 }
 
+/// The median time between readings of the fastest output (s).
+fn fastest_period(experiment: &Experiment) -> f64 {
+    let period = (0..experiment.wraps.len())
+        .filter(|o| experiment.output(*o).0.len() > 2)
+        .map(|o| experiment.period(o))
+        .fold(f64::INFINITY, f64::min);
+    if period.is_finite() && period > 0.0 { period } else { 0.01 }
+}
+
+/// The recording without the long rests of its machine ([`Experiment::leave_out_rests`]), by the horizon that is asked for or the usual one.
+#[must_use]
+pub(crate) fn without_rests(mut experiment: Experiment, horizon: Option<f64>) -> Experiment {
+    let horizon = horizon.unwrap_or_else(|| default_horizon(fastest_period(&experiment)));
+    experiment.leave_out_rests(horizon);
+    experiment
+}
+
 /// Time between readings of a process that is no robot's (s).
 const SLOW: f64 = 0.2;
 
@@ -149,11 +166,7 @@ impl Setup {
         least: &[f64],
     ) -> Self {
         let outputs = experiment.wraps.len();
-        let period = (0..outputs)
-            .filter(|o| experiment.output(*o).0.len() > 2)
-            .map(|o| experiment.period(o))
-            .fold(f64::INFINITY, f64::min);
-        let period = if period.is_finite() && period > 0.0 { period } else { 0.01 };
+        let period = fastest_period(&experiment);
         let horizon = horizon.unwrap_or_else(|| default_horizon(period));
         let output_noise: Vec<f64> = (0..outputs)
             .map(|o| {
@@ -450,11 +463,12 @@ fn segments(
             }
             continue;
         }
-        let blocks = (((to - from) / (4.0 * horizon)).floor() as usize).clamp(1, BLOCKS);
-        let length = (to - from) / blocks as f64;
+        let moving = experiment.moving(from, to);
+        let blocks = ((moving / (4.0 * horizon)).floor() as usize).clamp(1, BLOCKS);
+        let length = moving / blocks as f64;
         for block in 0..blocks {
-            let a = from + block as f64 * length;
-            let b = if block + 1 == blocks { to + 1e-9 } else { a + length };
+            let a = experiment.after(from, block as f64 * length);
+            let b = if block + 1 == blocks { to + 1e-9 } else { experiment.until(a, length) };
             if block % 3 == held_out || (blocks == 2 && block == usize::from(held_out == HELD_OUT)) {
                 test.push(segment(a, b));
             } else if let Some(last) = train.last_mut().filter(|s| (s.to - a).abs() < 1e-9) {

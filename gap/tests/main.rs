@@ -31,6 +31,7 @@ mod reach;
 mod readings;
 mod recordings;
 mod reference;
+mod rests;
 mod rough;
 mod servo;
 mod small;

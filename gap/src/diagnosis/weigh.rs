@@ -17,7 +17,7 @@ use crate::posterior;
 use crate::readings::{self, Acted, Raw, ReadingEffect};
 use crate::report::Absorbed;
 use crate::search::{self, Fit, INEXACT};
-use crate::setup::Setup;
+use crate::setup::{Setup, without_rests};
 use crate::signature::Nuisance;
 use crate::unknown;
 
@@ -68,6 +68,7 @@ impl Rounds<'_> {
     /// What was found in the end, and commands that acted otherwise than they were recorded. What is weighed again takes the rest of the
     /// bar: progress never goes back.
     pub(super) fn run(&self, experiment: Experiment) -> Result<(Found, Option<Acted>), DiagnosisError> {
+        let experiment = without_rests(experiment, self.options.horizon);
         let mut raw = Raw::of(&self.equations, &experiment);
         let mut found = self.weigh(&raw, &experiment, None, (0.0, 0.75))?;
         // What happens on held-out time alone cannot be learned, and shows once what happens elsewhere is known.

@@ -10,7 +10,7 @@ use crate::library;
 use crate::options::Options;
 use crate::readings::Raw;
 use crate::search::{Fit, fit_hypothesis};
-use crate::setup::Setup;
+use crate::setup::{Setup, without_rests};
 use parallax_model::system::Suggestion;
 
 /// Why no experiment can be proposed.
@@ -48,6 +48,7 @@ pub fn propose(
     options: &Options,
     wishes: &Wishes,
 ) -> Result<Design, ProposeError> {
+    let experiment = without_rests(experiment, options.horizon);
     let raw = Raw::of(&equations, &experiment);
     let (setup, null) = prepare(equations, &experiment, &raw, title, options, None)?;
     let choices: Vec<Vec<Vec<EffectAt>>> =

@@ -69,7 +69,8 @@ impl Raw {
             let place = format!("output:{}", output.name);
             // A quantity with inertia moves smoothly; what shows a command jumps where that does.
             let smooth = !equations.system().shows_command(o);
-            judge(Local::new(stamp, value, wrap), wrap, smooth, output.noise, &place, &output.unit)
+            let local = Local::new(stamp, value, wrap);
+            judge(local, &experiment.rests, wrap, smooth, output.noise, &place, &output.unit)
         });
         Raw(judged.collect())
     }
@@ -154,6 +155,7 @@ pub fn cleaned(equations: &Equations, experiment: &Experiment) -> (Experiment, V
 
 fn judge(
     local: Local,
+    rests: &[(f64, f64)],
     wrap: Option<f64>,
     smooth: bool,
     declared: Option<f64>,
@@ -169,7 +171,7 @@ fn judge(
     let lattice = lattice(&local.value);
     let learnt = (LEARNT * n as f64) as usize;
 
-    let repeated = repeats(&local, wrap, lattice);
+    let repeated = repeats(&local, rests, wrap, lattice);
     let rate = repeated.rate(1..learnt);
     let evidence = -2.0 * rate.log_evidence;
     let stuck = repeated.stuck(rate.value);

@@ -19,8 +19,14 @@ pub(super) struct Repeats {
     pub(super) repeats: Vec<(bool, f64)>,
 }
 
-/// Looks at every reading after the first.
-pub(super) fn repeats(local: &Local, wrap: Option<f64>, lattice: Option<Lattice>) -> Repeats {
+/// Looks at every reading after the first. At the ends of the log, readings that repeat up to one of the `rests` which were left out are
+/// those of a machine that stands.
+pub(super) fn repeats(
+    local: &Local,
+    rests: &[(f64, f64)],
+    wrap: Option<f64>,
+    lattice: Option<Lattice>,
+) -> Repeats {
     let (value, n) = (&local.value, local.value.len());
     let largest = value.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
     let step = lattice.map_or_else(|| at_most(value, 1e-12 * largest), |l| l.step);
@@ -43,7 +49,11 @@ pub(super) fn repeats(local: &Local, wrap: Option<f64>, lattice: Option<Lattice>
         let length = k - first;
         let motion =
             |from: usize, to: usize| wrapped(value[to] - value[from], wrap).abs() / (to - from) as f64;
+        let rests_before = || rests.first().is_some_and(|(_, to)| *to <= local.stamp[0]);
+        let rests_after = || rests.last().is_some_and(|(from, _)| *from > local.stamp[n - 1]);
         let chord = match (first.checked_sub(1), k < n) {
+            (Some(_), false) if rests_after() => 0.0,
+            (None, true) if rests_before() => 0.0,
             (Some(before), true) => motion(before, k),
             (Some(_), false) => motion(first.saturating_sub(length), first),
             (None, true) => motion(k - 1, (k - 1 + length).min(n - 1)),
@@ -124,7 +134,7 @@ mod tests {
 
     fn stuck(values: Vec<f64>) -> usize {
         let stamps = (0..values.len()).map(|k| 0.01 * k as f64).collect();
-        let repeats = repeats(&Local::new(stamps, values, None), None, None);
+        let repeats = repeats(&Local::new(stamps, values, None), &[], None, None);
         repeats.stuck(0.95).iter().filter(|stuck| **stuck).count()
     }
 
@@ -141,7 +151,7 @@ mod tests {
         let of = |old: fn(usize) -> usize| {
             let values = (0..1000).map(|k| (0.05 * old(k) as f64).sin()).collect();
             let stamps = (0..1000).map(|k| 0.01 * f64::from(k)).collect();
-            let repeats = repeats(&Local::new(stamps, values, None), None, None);
+            let repeats = repeats(&Local::new(stamps, values, None), &[], None, None);
             let count = repeats.stuck(0.1).iter().filter(|stuck| **stuck).count();
             (count, repeats.spread(0.1, 1..1000))
         };

@@ -40,6 +40,11 @@ pub(super) fn innovations(innovations: &Whiteness) -> String {
     format!("{verdict}: innovations {slow} as slow and {uneven} as uneven as white ones")
 }
 
+/// That so long (s) a machine stood still, which is not looked at.
+pub(super) fn rests(seconds: f64) -> String {
+    format!("{} s in which nothing moved are left out", number(seconds, 3))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

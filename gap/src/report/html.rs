@@ -120,8 +120,9 @@ fn overlays_section(report: &Report, overlays: &[Overlay]) -> String {
     let is_loss = |effect: &FittedEffect| effect.name == "drops" && effect.place.starts_with("input:");
     let losses = report.which.first().is_some_and(|answer| answer.effects.iter().any(is_loss));
     let told = if losses { " Which commands were lost is told by these readings, too." } else { "" };
+    let rests = report.rests_s.map_or_else(String::new, |rests| format!(" {}.", set(&format::rests(rests))));
     let note = format!(
-        "Held-out time, which no fit has seen.{told} Each prediction runs {horizon}\u{a0}s from a state estimated from \
+        "Held-out time, which no fit has seen.{told}{rests} Each prediction runs {horizon}\u{a0}s from a state estimated from \
          earlier samples only. Before: the nominal system with its parameters refitted. Residual: predicted minus \
          measured."
     );

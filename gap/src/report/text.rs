@@ -94,6 +94,9 @@ fn gap(lines: &mut Lines, report: &Report) {
     let score = format::number(gap.score, 3);
     let text = format!("{found} ({}), {score} noise units after calibration", format::p_value(gap.p_value));
     lines.put("gap", 0, &text);
+    if let Some(rests) = report.rests_s {
+        lines.put("at rest", 0, &format::rests(rests));
+    }
 }
 
 fn which(lines: &mut Lines, report: &Report) {

@@ -65,6 +65,7 @@ pub(crate) fn one_effect() -> Report {
         system: "servo arm".to_owned(),
         recordings: vec!["chirp on goal, 20 s".to_owned(), "steps, 12 s".to_owned()],
         gap: Gap { detected: true, p_value: 1e-12, score: 6.3 },
+        rests_s: None,
         calibration: vec![
             calibration("kt", 0.32, 0.334, 0.004, "N m/A"),
             calibration("b", 0.018, 0.0184, 0.0007, "N m s"),
@@ -140,9 +141,10 @@ pub(crate) fn one_effect() -> Report {
     }
 }
 
-/// A servo with two causes.
+/// A servo with two causes, which stood still for a while.
 pub(crate) fn two_effects() -> Report {
     let mut report = one_effect();
+    report.rests_s = Some(17.25);
     report.which[0].effects.push(effect("coulomb", "joint:shaft", &[("force", 0.07, 0.02, "N m")]));
     report.which[0].class = vec!["delay@input:goal + coulomb@joint:shaft".to_owned()];
     let part = |effect: &str, share| Split { effect: effect.to_owned(), share };
