@@ -215,7 +215,7 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
         with_best = Some(row(answers.leader(&null)));
         scattered = possible(readings::scatter(setup, answers.leader(&null)));
     }
-    let explanations = explain::explain(
+    let mut explanations = explain::explain(
         &explain::Evidence {
             setup,
             null: &null,
@@ -292,6 +292,9 @@ fn conclude(title: &str, options: &Options, found: Found, acted: Option<Acted>) 
     let known = |way: &&ReadingEffect| causes.iter().any(|cause| cause.place == way.place);
     let way = answers.leading_way().filter(|way| mean_detected && named && !known(way)).cloned();
     readings.extend(way.clone());
+    let of_readings =
+        explain::of_readings(setup, options, &explanations, (&readings, &causes), which.first());
+    explanations.extend(of_readings);
     let report = Report {
         summary: String::new(),
         system: system.name.clone(),

@@ -4,6 +4,8 @@
 //! costs under the effect's filter beyond what it costs under the winner's: e²/σ² + log σ² of its innovation. A
 //! region stands out when more of the whole difference falls on it than its share of the readings.
 
+mod readings;
+
 use std::collections::BTreeMap;
 use std::fmt;
 
@@ -20,6 +22,8 @@ use crate::readings::ReadingEffect;
 use crate::report::{Absorbed, Value};
 use crate::search::Fit;
 use crate::setup::{Range, Setup};
+
+pub(crate) use readings::of_readings;
 
 /// What became of an effect.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -41,6 +45,11 @@ pub enum Fate {
     /// Its best fit is not what it says it is: a limit that leaves next to nothing, or that readings exceed; a lag that is
     /// over before it shows.
     Impossible,
+    /// An effect on how readings scatter that they do not show, or not for itself.
+    NotShown {
+        /// Why it is not named, as the end of a sentence.
+        reason: String,
+    },
     /// It could not be tested.
     NotTestable {
         /// Why, as the end of a sentence.
@@ -357,17 +366,16 @@ impl fmt::Display for Explanation {
                 "{effect} is not an answer: its best fit would be a limit that leaves next to nothing or that readings \
                  exceed, or a lag that is over before it shows"
             )?,
+            Fate::NotShown { reason } => writeln!(f, "{effect} is not named: {reason}")?,
             Fate::NotTestable { reason } => writeln!(f, "{effect} is not testable: {reason}")?,
         }
-        if let (Some(evidence), Some(null)) = (self.evidence, self.against_no_effect) {
-            if self.fate != Fate::Leads {
-                writeln!(f, "  evidence    {evidence:+.1} in log evidence against {winner}")?;
-            }
-            writeln!(
-                f,
-                "  {:10}  {null:+.1} against no effect at all",
-                if self.fate == Fate::Leads { "evidence" } else { "" }
-            )?;
+        let against_winner = self.evidence.filter(|_| self.fate != Fate::Leads);
+        if let Some(evidence) = against_winner {
+            writeln!(f, "  evidence    {evidence:+.1} in log evidence against {winner}")?;
+        }
+        if let Some(null) = self.against_no_effect {
+            let label = if against_winner.is_none() { "evidence" } else { "" };
+            writeln!(f, "  {label:10}  {null:+.1} against no effect at all")?;
         }
         if !self.parameters.is_empty() {
             let parameters = self.parameters.iter().map(|(name, v)| {

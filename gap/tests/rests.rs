@@ -2,6 +2,7 @@
 //! it stands. Integrated here by small steps, with a friction that holds.
 
 use parallax_gap::diagnosis::{Options, diagnose};
+use parallax_gap::explain::Fate;
 use parallax_model::system::System;
 use parallax_runtime::recording::log::{Log, Role, Signal};
 
@@ -57,7 +58,10 @@ fn record() -> Log {
 #[test]
 fn a_long_rest_says_no_more_than_where_the_machine_stands() {
     let system = System::parse(SYSTEM, "pendulum").expect("the system is valid");
-    let found = diagnose(&system, &record(), &Options::default(), &|_, _| ()).expect("it diagnoses");
+    let explain = ["stuck", "quantization", "noise"].map(|name| format!("{name}@output:angle").parse());
+    let explain = explain.into_iter().collect::<Result<_, _>>().expect("these are patterns");
+    let options = Options { explain, ..Options::default() };
+    let found = diagnose(&system, &record(), &options, &|_, _| ()).expect("it diagnoses");
     let report = &found.report;
     let rests = report.rests_s.expect("it rests");
     assert!((12.0..19.0).contains(&rests), "{rests} s");
@@ -68,4 +72,16 @@ fn a_long_rest_says_no_more_than_where_the_machine_stands() {
     let force = &report.which[0].effects[0].parameters["force"];
     assert!((force.value - FRICTION).abs() < (3.0 * force.std).min(0.1 * FRICTION), "{force:?}");
     assert!(report.how_far.closed_by_effect.value > 0.9, "{}", report.summary);
+    // What was asked about is answered, also where it is no answer.
+    let fate = |label: &str| {
+        let all = report.explanations.iter();
+        all.filter(|asked| asked.effect == label).map(|asked| asked.fate.clone()).next()
+    };
+    assert_eq!(fate("quantization@output:angle"), Some(Fate::Leads));
+    let not_shown = |label: &str| match fate(label) {
+        Some(Fate::NotShown { reason }) => reason,
+        other => panic!("{label}: {other:?}"),
+    };
+    assert!(not_shown("stuck@output:angle").contains("while it moves"));
+    assert!(not_shown("noise@output:angle").contains("declares no `noise`"));
 }

@@ -32,13 +32,15 @@ fn entry(explanation: &Explanation) -> String {
                              exceed, or a lag that is over before it shows."
                 .to_owned()
         }
+        Fate::NotShown { reason } => format!("is not named: {}.", escape(reason)),
         Fate::NotTestable { reason } => format!("is not testable: {}.", escape(reason)),
     };
     let leads = explanation.fate == Fate::Leads;
     let mut rows = Vec::new();
-    if let (Some(evidence), Some(null)) = (explanation.evidence, explanation.against_no_effect) {
+    if let Some(null) = explanation.against_no_effect {
+        let evidence = explanation.evidence.filter(|_| !leads);
         let against_winner =
-            if leads { String::new() } else { format!("{} against {winner}, ", signed(evidence)) };
+            evidence.map_or_else(String::new, |evidence| format!("{} against {winner}, ", signed(evidence)));
         rows.push(("log evidence", format!("{against_winner}{} against no effect at all", signed(null))));
     }
     if !explanation.parameters.is_empty() {
