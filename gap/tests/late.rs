@@ -1,7 +1,7 @@
 //! Commands that are late on average, under a noise beside which none of them shows: the spread that goes with their mean tells whether
 //! they are all late by the same time, by chance, or lost now and then.
 
-use crate::axis::{labelled, pushed};
+use crate::axis::{labelled, pushed, pushed_and_shaken};
 use parallax_gap::explain::{Explanation, Fate};
 use parallax_gap::report::Report;
 
@@ -47,4 +47,13 @@ fn times_that_are_late_and_never_early_scatter_about_their_mean() {
 fn commands_that_are_lost_now_and_then_scatter_by_more_than_their_mean() {
     let report = pushed(0.5 * NOISE, |_, draw| if draw > 0.84 { 0.02 } else { 0.0 });
     assert_eq!(labelled(&report.which[0]), "drops@input:u", "{:?}", report.which);
+}
+
+#[test]
+fn a_few_lost_commands_beside_a_force_are_known_by_being_lost_as_a_whole() {
+    let report = pushed_and_shaken(0.0013, 0.5, &[9, 23]);
+    let both = "drops@input:u + periodic_disturbance@joint:axis";
+    assert_eq!(labelled(&report.which[0]), both, "{:?}", report.which);
+    let report = pushed_and_shaken(0.0013, 0.5, &[]);
+    assert_eq!(labelled(&report.which[0]), "periodic_disturbance@joint:axis", "{:?}", report.which);
 }

@@ -46,6 +46,8 @@ pub(crate) struct Acted {
     pub(crate) effect: ReadingEffect,
     /// Whether it befell them by chance: what goes with their size is no effect of the library.
     pub(crate) by_chance: bool,
+    /// Whether each of them is known to have been lost as a whole.
+    pub(super) wholly: bool,
     /// −2 log evidence with them, and the mean squared residual of short windows, in noise units squared.
     pub(super) cost: f64,
     pub(super) error: f64,
@@ -110,18 +112,19 @@ pub(crate) fn acted(
         let lost = EffectAt { effect: Effect::Drops, place: place.clone() };
         bases.find_map(|base| {
             let mut acted = under(setup, base, input, &place).filter(|acted| {
-                // What is less than a leading effect's form may be off by is its form; where that leaves nothing, a few lost
-                // commands may still be told, times that scatter a little are of how commands are held between their stamps. A
-                // machine that sticks, or is stopped, forgets what it was told whatever became of it, and a form of that which
-                // leaves anything does so in such moments: there lost commands must show as well as an effect does. A delay of
-                // the same commands is the mean of their times, whatever they go with, and no form of them.
+                // What is less than a leading effect's form may be off by is its form; where that leaves nothing, or they were
+                // lost as a whole, a few lost commands may still be told, times that scatter a little are of how commands are
+                // held between their stamps. A machine that sticks, or is stopped, forgets what it was told whatever became of
+                // it, and a form of that which leaves anything does so in such moments: there lost commands must show as well as
+                // an effect does. A delay of the same commands is the mean of their times, whatever they go with, and no form of
+                // them.
                 let forgets = base.hypothesis.effects.iter().any(|at| forgets(at.effect));
                 let shows = !forgets || base.innovation.evidence_cost - acted.cost > EXPLAINED;
                 let (lost, at_floor) = (effect == Effect::Drops, base.shooting_error < AT_FLOOR);
                 let is_mean = !lost && is_only(base, &mean);
                 let material =
                     judge.is_material_from(base.shooting_error, acted.error) && (!lost || shows || at_floor);
-                let told = lost && shows && at_floor;
+                let told = lost && shows && (at_floor || acted.wholly);
                 let form = base.shooting_error <= INEXACT
                     && !base.hypothesis.effects.is_empty()
                     && !(is_mean || material || told);

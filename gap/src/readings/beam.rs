@@ -170,8 +170,8 @@ impl Beam<'_> {
     }
 
     /// By how much the commands that are believed lost were not quite lost: the mean square of the share of each that acted after all,
-    /// less what the noise of the readings leaves of it, in the order of how well each shows.
-    pub(super) fn arrived(&self) -> f64 {
+    /// weighed by how well each shows, and the part of it that is of the noise of the readings.
+    pub(super) fn arrived(&self) -> (f64, f64) {
         let (mut squares, mut sizes, mut count) = (0.0, 0.0, 0.0);
         self.each_begin(|chain, first, k| {
             let change = self.sent.values[k] - self.acted.values[k];
@@ -185,7 +185,7 @@ impl Beam<'_> {
                 count += 1.0;
             }
         });
-        if sizes > 0.0 { (squares - count) / sizes } else { 0.0 }
+        if sizes > 0.0 { (squares / sizes, count / sizes) } else { (0.0, 0.0) }
     }
 
     /// Calls for each command that comes within a stretch, with the link from which on it acts.

@@ -148,7 +148,16 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
     }
     let effect = commands.effect(way, setup, place, told);
     let (acted, error) = (commands.moved(way), fit.shooting_error);
-    Some(Acted { input, recorded: recorded.clone(), acted, effect, by_chance: false, cost, error })
+    Some(Acted {
+        input,
+        recorded: recorded.clone(),
+        acted,
+        effect,
+        by_chance: false,
+        wholly: false,
+        cost,
+        error,
+    })
 }
 
 impl Commands<'_> {

@@ -159,7 +159,16 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
     let density = scatter::density_at_input(setup, base, input, (unit, last.late.spread / unit));
     let effect =
         found("jitter", place.to_string(), ("spread", value), -2.0 * told, true, density.unwrap_or_default());
-    Some(Acted { input, recorded: recorded.clone(), acted, effect, by_chance: true, cost, error })
+    Some(Acted {
+        input,
+        recorded: recorded.clone(),
+        acted,
+        effect,
+        by_chance: true,
+        wholly: false,
+        cost,
+        error,
+    })
 }
 
 /// By how much the commands of one input scatter (s), where they can be moved, as responses to times that differ much are not in

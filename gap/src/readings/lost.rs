@@ -55,6 +55,10 @@ const LEAST_CHANGE: f64 = 0.05;
 /// that is nearer to none than to all.
 const PARTLY: f64 = 1.0 / 12.0;
 
+/// The same, with what the noise of the readings adds to it, below which they are known to be lost as a whole: what the form of another
+/// effect is off by seems to be a part of some commands.
+const WHOLLY: f64 = 0.03;
+
 /// Commands of one input, as they were sent and as they are believed to have acted.
 struct Believed<'a> {
     clean: Setup,
@@ -71,6 +75,8 @@ struct Round {
     /// Share of the commands that is lost, and how many tell it.
     rate: f64,
     of: usize,
+    /// Mean square of the share of each lost command that acted after all, with what noise adds to it.
+    arrived: f64,
     acted: Held,
 }
 
@@ -91,7 +97,7 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
     }
     believed.revise(&first.lost);
     believed.anneal(base);
-    let Round { cost, error, rate, of: telling, acted } = believed.settle(base)?;
+    let Round { cost, error, rate, of: telling, arrived, acted } = believed.settle(base)?;
     believed.clean.experiment.inputs[input] = acted.clone();
     let (of, losses) = (believed.changes().len(), believed.stamps());
     let accident = losses.len() < FEWEST && (losses.len() as f64) < RAREST * of as f64;
@@ -109,7 +115,8 @@ pub(super) fn under(setup: &Setup, base: &Fit, input: usize, place: &Place) -> O
     let effect =
         found("drops", place.to_string(), ("rate", value), -2.0 * told, true, density.unwrap_or_default());
     let recorded = believed.sent.clone();
-    Some(Acted { input, recorded, acted, effect, by_chance: true, cost, error })
+    let wholly = arrived < WHOLLY;
+    Some(Acted { input, recorded, acted, effect, by_chance: true, wholly, cost, error })
 }
 
 impl<'a> Believed<'a> {
@@ -148,7 +155,7 @@ impl<'a> Believed<'a> {
             }
             let fit = refitted(&self.clean, &from);
             let Some(beam) = self.beam(&fit, &fit.innovation.noise) else { break };
-            let (mut rate, arrived) = (self.rate, beam.arrived());
+            let (mut rate, (arrived, noise)) = (self.rate, beam.arrived());
             let found = beam.losses(&mut rate);
             let Some(found) = can_be(found) else { break };
             self.rate = rate;
@@ -157,12 +164,13 @@ impl<'a> Believed<'a> {
             let nearer = error <= base.shooting_error.min(INEXACT.max(LEFT * base.shooting_error));
             // What is off by about as much as it explains is something else, and the form of another effect may hold the machine
             // still.
-            let is_loss = arrived < PARTLY && (base.hypothesis.effects.is_empty() || self.are_single());
+            let is_loss =
+                arrived - noise < PARTLY && (base.hypothesis.effects.is_empty() || self.are_single());
             worse += 1;
             if nearer && is_loss && best.as_ref().is_none_or(|best| cost < best.cost) {
                 worse = 0;
-                best =
-                    Some(Round { cost, error, rate: found.rate, of: found.of, acted: self.acted().clone() });
+                let (rate, of, acted) = (found.rate, found.of, self.acted().clone());
+                best = Some(Round { cost, error, rate, of, arrived, acted });
             }
             // Beside the same losses a fit may get further from where it came to: the first one began beside none.
             let same = !self.revise(&found.lost);

@@ -69,6 +69,34 @@ pub(crate) fn pushed(noise: f64, mut late: impl FnMut(f64, f64) -> f64) -> Repor
     diagnosed(noise, held, samples)
 }
 
+/// A mass that is pushed anew every half second for 20 s, beside a force of this size that repeats 0.9 times a second; some pushes, by
+/// their number, never arrive. Its position is read with this noise (m), a seventh more than is declared: no model leaves less.
+pub(crate) fn pushed_and_shaken(noise: f64, force: f64, lost: &[usize]) -> Report {
+    const STEP: f64 = 2e-4;
+    let mut random = ChaCha8Rng::seed_from_u64(29);
+    let mut draw = move || -> f64 { StandardNormal.sample(&mut random) };
+    let (mut held, mut samples) = (Held::default(), Vec::new());
+    let (mut q, mut v, mut acting) = (0.0, 0.0, 0.0);
+    for k in 0..100_000_usize {
+        let time = STEP * k as f64;
+        if k.is_multiple_of(2500) {
+            let push = 1.5 * draw();
+            held.push(time, push);
+            if !lost.contains(&(k / 2500)) {
+                acting = push;
+            }
+        }
+        if k.is_multiple_of(100) {
+            samples.push(Sample { stamp: time, output: 0, value: q + noise * draw() });
+        }
+        let shaken = force * (std::f64::consts::TAU * 0.9 * time).sin();
+        q += 0.5 * STEP * v;
+        v += STEP * (acting + shaken - 2.8 * v);
+        q += 0.5 * STEP * v;
+    }
+    diagnosed(noise / 1.14, held, samples)
+}
+
 /// The effects of an answer, in the order of their names.
 pub(crate) fn labelled(answer: &Which) -> String {
     let mut effects: Vec<String> = answer.effects.iter().map(|e| e.label()).collect();
