@@ -51,9 +51,9 @@ fn commands_that_are_lost_now_and_then_scatter_by_more_than_their_mean() {
 
 #[test]
 fn a_few_lost_commands_beside_a_force_are_known_by_being_lost_as_a_whole() {
-    let report = pushed_and_shaken(0.0013, 0.5, &[9, 23]);
+    let report = pushed_and_shaken(0.003, 4.0, &[9, 23]);
     let both = "drops@input:u + periodic_disturbance@joint:axis";
     assert_eq!(labelled(&report.which[0]), both, "{:?}", report.which);
-    let report = pushed_and_shaken(0.0013, 0.5, &[]);
+    let report = pushed_and_shaken(0.003, 4.0, &[]);
     assert_eq!(labelled(&report.which[0]), "periodic_disturbance@joint:axis", "{:?}", report.which);
 }

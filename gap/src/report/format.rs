@@ -40,9 +40,9 @@ pub(super) fn innovations(innovations: &Whiteness) -> String {
     format!("{verdict}: innovations {slow} as slow and {uneven} as uneven as white ones")
 }
 
-/// That so long (s) a machine stood still, which is not looked at.
+/// That so long (s) nothing happened, which is not looked at.
 pub(super) fn rests(seconds: f64) -> String {
-    format!("{} s in which nothing moved are left out", number(seconds, 3))
+    format!("{} s in which no command and no reading changed are left out", number(seconds, 3))
 }
 
 #[cfg(test)]

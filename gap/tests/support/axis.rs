@@ -86,7 +86,7 @@ pub(crate) fn pushed_and_shaken(noise: f64, force: f64, lost: &[usize]) -> Repor
                 acting = push;
             }
         }
-        if k.is_multiple_of(100) {
+        if k.is_multiple_of(50) {
             samples.push(Sample { stamp: time, output: 0, value: q + noise * draw() });
         }
         let shaken = force * (std::f64::consts::TAU * 0.9 * time).sin();
